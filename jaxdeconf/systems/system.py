@@ -1,0 +1,62 @@
+"""What every stage knows of a physical system, and nothing more.
+
+Shapes: S state, A action, K plan. All functions take one sample; the caller vmaps.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxdeconf.vision import raster
+
+
+class Nuisance(Protocol):
+    """A mark in the frame that shows the previous action; see `vision.nuisance`."""
+
+    def draw(self, image: Array, signal: Array) -> Array:
+        """Image [H, W, 3] with the mark for signal [A] in [-1, 1]."""
+        ...
+
+    def cover(self, image: Array) -> Array:
+        """Image [H, W, 3] with the mark covered in white."""
+        ...
+
+
+@dataclass(frozen=True)
+class System:
+    """A controlled system in discrete time: pure functions and the constants that describe them.
+
+    Frozen and hashable, so that a System is a static argument of a jitted function.
+    """
+
+    name: str
+    state_names: tuple[str, ...]  # [S], with units
+    action_names: tuple[str, ...]  # [A], with units
+    action_limit: tuple[float, ...]  # [A], |action| <= limit
+    dt: float  # seconds a step
+    steps: int  # steps of a whole trajectory
+    step: Callable[[Array, Array], Array]  # (state [S], action [A]) -> next state [S]
+    stage_cost: Callable[[Array, Array], Array]  # (state [S], action [A]) -> [], the rollout loss
+    state_penalty: Callable[[Array], Array]  # state [S] -> [], the expert's soft limits
+    terminal_cost: Callable[[Array], Array]  # state [S] -> [], ends the expert's horizon
+    initial_plans: Callable[[Array, int], Array]  # (state [S], K) -> [starts, K, A], expert starts
+    sample_initial: Callable[[Array], Array]  # key -> state [S]: the intervention on S_1
+    in_bounds: Callable[[Array], Array]  # state [S] -> bool [], False ends a trajectory
+    draw: Callable[[Array], Array]  # state [S] -> image [64, 64, 3] in [0, 1], no nuisance
+    nuisance: Nuisance
+
+    @property
+    def limits(self) -> Array:
+        """[A] action limits as an array."""
+        return jnp.asarray(self.action_limit)
+
+    def render(self, state: Array, previous_action: Array) -> Array:
+        """The frame [64, 64, 3] in [0, 1] of state [S] with the nuisance for an action [A]."""
+        return self.nuisance.draw(self.draw(state), previous_action / self.limits)
+
+    def frame(self, state: Array, previous_action: Array) -> Array:
+        """The frame as a camera hands it over: uint8 [64, 64, 3]."""
+        return raster.quantize(self.render(state, previous_action))

@@ -1,0 +1,1 @@
+"""How a system looks: the differentiable rasteriser and the nuisances drawn with it."""
