@@ -1,0 +1,1 @@
+"""Benchmarks: speed, with the error against a reference beside it."""

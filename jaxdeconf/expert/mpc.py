@@ -1,0 +1,186 @@
+"""The expert: receding-horizon control of a known system (the paper's MPC), solved by iLQR.
+
+Shapes: N trajectories, T time, K plan, S state, A action. The paper's t=1 is index 0.
+"""
+
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from jaxdeconf.expert import ilqr
+from jaxdeconf.systems import System, Trajectories
+from jaxdeconf.systems.rollout import Policy, rollout_with_memory
+
+
+@dataclass(frozen=True)
+class ExpertConfig:
+    """How the expert plans. The paper says only that it is MPC: the numbers are ours."""
+
+    horizon: int = 30  # ours: 1.5 s of CartPole, then the terminal cost stands for the rest
+    initial_iterations: int = 50  # ours: of 8000 CartPole plans 800 need over 10, two over 40
+    step_iterations: int = 2  # ours: from the last plan; within 1e-4 of an interior-point MPC
+    # Ours. A plan has converged if the last iteration's model promised to lower the cost by no more
+    # than this fraction: a Gauss-Newton decrement, so the cost after that iteration is closer yet.
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        for name in ("horizon", "initial_iterations", "step_iterations"):
+            _positive_integer(name, getattr(self, name))
+        if not self.tolerance > 0:
+            raise ValueError(f"tolerance: expected a positive number, got {self.tolerance!r}")
+
+
+class Plans(NamedTuple):
+    """Open-loop plans, each the best of the system's starts."""
+
+    actions: Array  # [N, K, A]
+    cost: Array  # [N] stage costs, soft-limit penalties of t = 1..K, and terminal cost
+    converged: Array  # [N] bool, to a local optimum: see ExpertConfig.tolerance
+
+
+class Memory(NamedTuple):
+    """What the receding-horizon policy carries from step to step."""
+
+    plan: Array  # [K, A] the first guess for the next solve
+    unconverged: Array  # [] int, steps so far whose plan had not converged
+
+
+def plan(
+    system: System,
+    initial_states: ArrayLike,
+    horizon: int = ExpertConfig.horizon,
+    config: ExpertConfig | None = None,
+) -> Plans:
+    """Optimal open-loop plans from N initial states.
+
+    Args:
+      system: what moves.
+      initial_states: [N, S] finite, in the system's units.
+      horizon: K >= 1, actions in a plan.
+      config: its `initial_iterations` and `tolerance` are used; the default is `ExpertConfig()`.
+    Returns:
+      Plans: actions [N, K, A] within the limits, cost [N], converged [N].
+    Raises:
+      ValueError: if `initial_states` has another shape or is not finite, or `horizon` < 1.
+    """
+    states = _states(system, initial_states)
+    return _plan(system, states, _positive_integer("horizon", horizon), config or ExpertConfig())
+
+
+@partial(jax.jit, static_argnums=(0, 2, 3))
+def _plan(system: System, states: Array, horizon: int, config: ExpertConfig) -> Plans:
+    def one(state: Array) -> Plans:
+        solution = _solve_cold(system, state, horizon, config.initial_iterations)
+        return Plans(solution.actions, solution.cost, _converged(solution, config))
+
+    return jax.vmap(one)(states)
+
+
+def receding_horizon(
+    system: System, config: ExpertConfig
+) -> tuple[Callable[[Array], Memory], Policy]:
+    """The expert as a policy for `systems.rollout`.
+
+    Returns:
+      initial_memory: state [S] -> Memory, by a solve from the system's own starts.
+      policy: improves the remembered plan at the present state, takes its first action, and
+        remembers the rest with the last action twice.
+    """
+
+    def initial_memory(state: Array) -> Memory:
+        solution = _solve_cold(system, state, config.horizon, config.initial_iterations)
+        return Memory(solution.actions, jnp.zeros((), jnp.int32))
+
+    def policy(memory: Memory, state: Array, previous_action: Array, key: Array):
+        solution = ilqr.solve(system, state, memory.plan, config.step_iterations)
+        actions = solution.actions
+        rest = jnp.concatenate([actions[1:], actions[-1:]])
+        unconverged = memory.unconverged + ~_converged(solution, config)
+        return Memory(rest, unconverged), actions[0]
+
+    return initial_memory, policy
+
+
+def expert_trajectories(
+    system: System, initial_states: ArrayLike, key: Array, config: ExpertConfig | None = None
+) -> tuple[Trajectories, Array]:
+    """Closed-loop trajectories of the expert from N initial states.
+
+    Args:
+      system: what moves.
+      initial_states: [N, S] finite, in the system's units.
+      key: draws the random previous action of each trajectory's first step.
+      config: the default is `ExpertConfig()`.
+    Returns:
+      Trajectories [N, T, ...], and unconverged [N] int: in how many of the T steps the plan had
+      not converged. The action was taken all the same.
+    Raises:
+      ValueError: if `initial_states` has another shape or is not finite.
+    """
+    return _trajectories(system, _states(system, initial_states), key, config or ExpertConfig())
+
+
+@partial(jax.jit, static_argnums=(0, 3))
+def _trajectories(
+    system: System, states: Array, key: Array, config: ExpertConfig
+) -> tuple[Trajectories, Array]:
+    initial_memory, policy = receding_horizon(system, config)
+
+    def one(state: Array, key: Array) -> tuple[Trajectories, Array]:
+        memory = initial_memory(state)
+        trajectory, memory = rollout_with_memory(system, policy, memory, state, key)
+        return trajectory, memory.unconverged
+
+    return jax.vmap(one)(states, jax.random.split(key, len(states)))
+
+
+def _solve_cold(system: System, state: Array, horizon: int, iterations: int) -> ilqr.Solution:
+    """The best of the solutions from each of the system's own first plans."""
+    starts = system.initial_plans(state, horizon)
+    if len(starts) == 1:
+        return ilqr.solve(system, state, starts[0], iterations)
+    # One after another, for the reason given at the line search of `ilqr`.
+    solutions = jax.lax.map(lambda start: ilqr.solve(system, state, start, iterations), starts)
+    best = jnp.nanargmin(solutions.cost)
+    return jax.tree.map(lambda leaf: leaf[best], solutions)
+
+
+def _converged(solution: ilqr.Solution, config: ExpertConfig) -> Array:
+    return solution.promise <= config.tolerance * solution.cost
+
+
+def _states(system: System, initial_states: ArrayLike) -> Array:
+    """[N, S] as floats, or ValueError."""
+    size = len(system.state_names)
+    if isinstance(initial_states, Tracer) and initial_states.shape[1:] == (size,):
+        return initial_states  # inside a transformation there are no values to look at
+    try:
+        states = np.asarray(initial_states)
+    except ValueError:  # ragged
+        states = np.asarray(None)
+    if states.dtype.kind not in "fiu" or states.ndim != 2 or states.shape[1] != size:
+        got = f"{states.dtype} of shape {states.shape}"
+        raise ValueError(f"initial_states: expected numbers of shape [N, {size}], got {got}")
+    if not np.isfinite(states).all():
+        row = int(np.argmin(np.isfinite(states).all(axis=1)))
+        raise ValueError(f"initial_states: expected finite numbers, got {states[row]} in row {row}")
+    return jnp.asarray(states, dtype=float)
+
+
+def _positive_integer(name: str, value: int) -> int:
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+    return number
