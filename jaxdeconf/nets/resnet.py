@@ -1,0 +1,155 @@
+"""Pre-activation ResNet-18 (He et al. 2016, "Identity Mappings in Deep Residual Networks").
+
+Two plain functions, `init` and `apply`, hide Flax; the variables are plain pytrees that vmap over
+models. Shapes: B batch, H × W pixels, C channels (3 a frame, L frames stacked), A action.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jax import Array
+
+from jaxdeconf.nets.conv import conv_general_dilated
+from jaxdeconf.nets.initial import draw
+from jaxdeconf.nets.pool import max_pool
+
+Variables = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ResNetConfig:
+    """Shape of the network; hashable, so it can be a static argument of jit.
+
+    Raises:
+      ValueError: for a width below one or an unknown stem, norm or dtype.
+    """
+
+    width: int = 64  # He et al.: channels of the first stage; the next ones double it
+    # "cifar": 3×3, full resolution (the usual pre-activation form, 11.17 M parameters).
+    # "imagenet": 7×7 stride 2 and a 3×3 stride 2 max-pool; about nine times cheaper, for a CPU.
+    stem: Literal["cifar", "imagenet"] = "cifar"
+    norm: Literal["batch", "none"] = "batch"  # He et al.: batch normalisation
+    dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
+
+    def __post_init__(self):
+        if self.width < 1:
+            raise ValueError(f"width: expected a positive integer, got {self.width}")
+        for name, choices in (
+            ("stem", ("cifar", "imagenet")),
+            ("norm", ("batch", "none")),
+            ("dtype", ("float32", "bfloat16")),
+        ):
+            if getattr(self, name) not in choices:
+                raise ValueError(f"{name}: expected one of {choices}, got {getattr(self, name)!r}")
+
+
+def init(
+    config: ResNetConfig, key: Array, input_shape: tuple[int, int, int], outputs: int
+) -> Variables:
+    """Fresh variables.
+
+    Args:
+      config: the network's shape.
+      key: PRNG key.
+      input_shape: (H, W, C) of one image; C = 3·L for L stacked frames.
+      outputs: A, the number of regressed action components.
+    Returns:
+      {"params": ..., "batch_stats": ...}; `batch_stats` is empty without batch normalisation.
+    """
+    if len(input_shape) != 3:
+        raise ValueError(f"input_shape: expected (height, width, channels), got {input_shape}")
+    shapes = jax.eval_shape(
+        lambda: _ResNet(config, outputs).init(key, jnp.zeros((1, *input_shape)), train=False)
+    )
+    variables = draw(shapes, key, gain=2)
+    return {"params": variables["params"], "batch_stats": variables.get("batch_stats", {})}
+
+
+def apply(
+    config: ResNetConfig, variables: Variables, images: Array, train: bool
+) -> tuple[Array, Any]:
+    """The network's outputs, and its running statistics after this batch.
+
+    Args:
+      config: the one given to `init`.
+      variables: what `init` returned, or trained from it.
+      images: [B, H, W, C] float in [0, 1]; mapped to [-1, 1] inside.
+      train: normalise by the batch's statistics and update the running ones (True), or use the
+        running ones as they are (False). Static.
+    Returns:
+      [B, A] float32 outputs, and the `batch_stats` to carry on with (unchanged if not `train`).
+    """
+    if images.ndim != 4:
+        raise ValueError(f"images: expected [B, H, W, C], got shape {images.shape}")
+    outputs = variables["params"]["head"]["bias"].shape[0]
+    out, updates = _ResNet(config, outputs).apply(
+        variables, images, train=train, mutable=["batch_stats"]
+    )
+    return out.astype(jnp.float32), updates.get("batch_stats", {})
+
+
+def _conv(config: ResNetConfig, features: int, size: int, stride: int, name: str) -> nn.Conv:
+    """A bias-free convolution, padded alike on both sides as the original is."""
+    return nn.Conv(
+        features,
+        (size, size),
+        (stride, stride),
+        padding=size // 2,
+        use_bias=False,
+        dtype=jnp.dtype(config.dtype),
+        conv_general_dilated=conv_general_dilated,
+        name=name,
+    )
+
+
+def _norm_relu(config: ResNetConfig, x: Array, train: bool, name: str) -> Array:
+    if config.norm == "batch":
+        x = nn.BatchNorm(
+            use_running_average=not train, momentum=0.9, dtype=jnp.dtype(config.dtype), name=name
+        )(x)
+    return nn.relu(x)
+
+
+class _Block(nn.Module):
+    """Twice BN, ReLU, 3×3, plus a shortcut: 1×1 from the activated input if shapes change."""
+
+    config: ResNetConfig
+    features: int
+    stride: int
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        activated = _norm_relu(self.config, x, train, "norm_1")
+        shortcut = x
+        if self.stride != 1 or x.shape[-1] != self.features:
+            shortcut = _conv(self.config, self.features, 1, self.stride, "shortcut")(activated)
+        y = _conv(self.config, self.features, 3, self.stride, "conv_1")(activated)
+        y = _norm_relu(self.config, y, train, "norm_2")
+        return shortcut + _conv(self.config, self.features, 3, 1, "conv_2")(y)
+
+
+class _ResNet(nn.Module):
+    config: ResNetConfig
+    outputs: int
+
+    @nn.compact
+    def __call__(self, images: Array, train: bool) -> Array:
+        width = self.config.width
+        x = 2 * images - 1
+        if self.config.stem == "cifar":
+            x = _conv(self.config, width, 3, 1, "stem")(x)
+        else:
+            x = max_pool(_conv(self.config, width, 7, 2, "stem")(x))
+        for stage, stride in enumerate((1, 2, 2, 2)):
+            for block in range(2):
+                x = _Block(
+                    self.config,
+                    features=width * 2**stage,
+                    stride=stride if block == 0 else 1,
+                    name=f"stage_{stage + 1}_block_{block + 1}",
+                )(x, train)
+        x = _norm_relu(self.config, x, train, "norm").mean((1, 2))
+        return nn.Dense(self.outputs, dtype=jnp.dtype(self.config.dtype), name="head")(x)

@@ -1,0 +1,116 @@
+"""The pre-activation ResNet-18: size, batch statistics, gradients, and many models at once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdeconf.nets import resnet
+from jaxdeconf.nets.resnet import ResNetConfig
+
+SMALL = ResNetConfig(width=4, stem="imagenet")
+
+
+init = jax.jit(resnet.init, static_argnums=(0, 2, 3))
+apply = jax.jit(resnet.apply, static_argnums=(0, 3))
+
+
+def images(batch=6, side=32):
+    return jax.random.uniform(jax.random.key(1), (batch, side, side, 6))
+
+
+def test_parameter_count_is_resnet_18s():
+    # torchvision-style count of He et al.'s pre-activation form with 6 input channels, 1 output.
+    shapes = jax.eval_shape(
+        lambda key: resnet.init(ResNetConfig(), key, (64, 64, 6), 1), jax.random.key(0)
+    )
+    sizes = [np.prod(leaf.shape) for leaf in jax.tree.leaves(shapes["params"])]
+    assert sum(sizes) == 11_169_281
+
+
+@pytest.mark.parametrize(("stem", "norm"), [("cifar", "batch"), ("imagenet", "none")])
+def test_outputs_have_the_stated_shape(stem, norm):
+    config = ResNetConfig(width=4, stem=stem, norm=norm)
+    variables = init(config, jax.random.key(0), (32, 32, 6), 2)
+    outputs, batch_stats = apply(config, variables, images(), True)
+    assert outputs.shape == (6, 2)
+    assert jnp.isfinite(outputs).all()
+    assert jax.tree.structure(batch_stats) == jax.tree.structure(variables["batch_stats"])
+
+
+def test_running_statistics_follow_the_batches():
+    variables = init(SMALL, jax.random.key(0), (32, 32, 6), 1)
+    step = jax.jit(lambda variables: resnet.apply(SMALL, variables, images(), True))
+    trained, _ = step(variables)
+    for _ in range(200):
+        variables = {**variables, "batch_stats": step(variables)[1]}
+    evaluated, kept = apply(SMALL, variables, images(), False)
+    # Flax keeps the biased variance, so on one repeated batch the two modes meet.
+    np.testing.assert_allclose(evaluated, trained, rtol=1e-3, atol=1e-4)
+    assert jax.tree.all(jax.tree.map(jnp.array_equal, kept, variables["batch_stats"]))
+
+
+def test_evaluation_treats_every_image_alone():
+    variables = init(SMALL, jax.random.key(0), (32, 32, 6), 1)
+    together, _ = apply(SMALL, variables, images(), False)
+    alone, _ = apply(SMALL, variables, images()[:1], False)
+    np.testing.assert_allclose(together[:1], alone, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_vmap_over_models_equals_loop_and_compiles_once():
+    keys = jax.random.split(jax.random.key(0), 2)
+    compiled = []
+
+    def loss_and_gradient(variables, x):
+        compiled.append(1)
+
+        def loss(params):
+            outputs, _ = apply(SMALL, {**variables, "params": params}, x, True)
+            return jnp.mean((outputs - 1) ** 2)
+
+        return jax.value_and_grad(loss)(variables["params"])
+
+    many = jax.vmap(lambda key: resnet.init(SMALL, key, (32, 32, 6), 1))(keys)
+    together = jax.jit(jax.vmap(loss_and_gradient, (0, None)))
+    losses, gradients = together(many, images())
+    together(many, images())
+    assert len(compiled) == 1
+    one = jax.jit(loss_and_gradient)
+    for m in range(2):
+        loss, gradient = one(jax.tree.map(lambda leaf, m=m: leaf[m], many), images())
+        np.testing.assert_allclose(losses[m], loss, rtol=1e-4)
+        for a, b in zip(jax.tree.leaves(gradients), jax.tree.leaves(gradient), strict=True):
+            np.testing.assert_allclose(a[m], b, rtol=1e-3, atol=1e-4 * float(jnp.abs(b).max()))
+
+
+def test_bfloat16_computes_close_to_float32_with_float32_parameters():
+    half = ResNetConfig(width=4, stem="imagenet", dtype="bfloat16")
+    variables = init(half, jax.random.key(0), (32, 32, 6), 1)
+    assert {leaf.dtype for leaf in jax.tree.leaves(variables)} == {jnp.dtype("float32")}
+    outputs, _ = apply(half, variables, images(), False)
+    reference, _ = apply(SMALL, variables, images(), False)
+    assert outputs.dtype == jnp.float32
+    assert jnp.abs(outputs - reference).max() < 0.05 * jnp.abs(reference).max()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"width": 0}, "width"),
+        ({"stem": "vgg"}, "stem"),
+        ({"norm": "layer"}, "norm"),
+        ({"dtype": "int8"}, "dtype"),
+    ],
+)
+def test_wrong_configuration_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ResNetConfig(**arguments)
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(ValueError, match="input_shape"):
+        resnet.init(SMALL, jax.random.key(0), (32, 32), 1)  # pyright: ignore[reportArgumentType]
+    variables = init(SMALL, jax.random.key(0), (32, 32, 6), 1)
+    with pytest.raises(ValueError, match="images"):
+        resnet.apply(SMALL, variables, images()[0], False)
