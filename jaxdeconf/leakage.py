@@ -1,0 +1,96 @@
+"""Leakage: how much of a signal is still to be had from latents or from frames.
+
+By rank correlation (Spearman 1904) for single latents, and by kernel ridge regression (Saunders,
+Gammerman & Vovk 1998) for frames. What no correlation with a single latent sees, a signal spread
+over several of them or shown in a non-monotone way, a nonlinear regression from the frames does.
+Closed form: the same frames give the same number.
+Shapes: n training frames, m test frames, P pixels, C components, O latents, A signals.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxdeconf.learn.linear_start import principal_components
+
+# Enough for all that CartPole's frames hold; every one is scaled alike, so that a faint trace of
+# the signal counts as much as the pose does.
+_COMPONENTS = 32
+# Of the first component's standard deviation: what is smaller is the rounding of uint8.
+_FLOOR = 3e-3
+_RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0)
+
+
+def spearman(latents: Array, signal: Array) -> Array:
+    """[O, A] Spearman rank correlations of latents [n, O] with signals [n, A], both continuous.
+
+    A constant latent has rank correlation 0 with everything.
+    """
+
+    def ranks(values: Array) -> Array:
+        order = jnp.argsort(jnp.argsort(values, axis=0), axis=0) - (len(values) - 1) / 2
+        return jnp.where(values.max(axis=0) > values.min(axis=0), order, 0.0)
+
+    a, b = ranks(latents), ranks(signal)
+    scale = jnp.sqrt((a**2).sum(0)[:, None] * (b**2).sum(0)[None])
+    return a.T @ b / jnp.maximum(scale, 1.0)
+
+
+def _kernel(a: Array, b: Array) -> Array:
+    """[n, m] linear plus Gaussian kernel of features [n, C], [m, C]; its width is sqrt(C)."""
+    inner = a @ b.T
+    squared = (a * a).sum(1)[:, None] + (b * b).sum(1)[None] - 2.0 * inner
+    size = a.shape[1]
+    return inner / size + jnp.exp(-jnp.maximum(squared, 0.0) / (2.0 * size))
+
+
+@partial(jax.jit, static_argnames="components")
+def _predict(train: Array, signal: Array, test: Array, key: Array, components: int) -> Array:
+    """[m, A] predictions at test [m, P]; the ridge is the best by leave-one-out on train [n, P]."""
+    mean = train.mean(axis=0)
+    vectors, variances = principal_components(train - mean, components, key)
+    scale = jnp.sqrt(jnp.maximum(variances, variances[0] * _FLOOR**2) + 1e-12)
+    features, test_features = (train - mean) @ vectors / scale, (test - mean) @ vectors / scale
+    offset = signal.mean(axis=0)
+    values, basis = jnp.linalg.eigh(_kernel(features, features))
+    rotated = basis.T @ (signal - offset)
+
+    def solve(ridge: Array) -> tuple[Array, Array]:
+        inverse = 1.0 / (jnp.maximum(values, 0.0) + ridge)
+        weights = basis @ (inverse[:, None] * rotated)
+        # Leave-one-out residuals: alpha_i / (K + ridge I)^-1_ii.
+        residual = weights / ((basis * basis) @ inverse)[:, None]
+        return (residual**2).mean(), weights
+
+    errors, weights = jax.lax.map(solve, jnp.asarray(_RIDGES))
+    return offset + _kernel(test_features, features) @ weights[jnp.argmin(errors)]
+
+
+def r_squared(
+    train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array
+) -> Array:
+    """The share of a signal's variance that a regression explains on frames it has not seen.
+
+    Args:
+      train: [n, ...] images, float or uint8.
+      train_signal: [n, A].
+      test: [m, ...] images.
+      test_signal: [m, A].
+      key: starts the search for principal components.
+    Returns:
+      [] R², at most 1, the mean over A; about 0, or a little below, where nothing leaks.
+    Raises:
+      ValueError: if frames and signals differ in number.
+    """
+    for name, images, signal in (("train", train, train_signal), ("test", test, test_signal)):
+        if signal.ndim != 2 or len(images) != len(signal):
+            raise ValueError(
+                f"{name}_signal: expected [{len(images)}, A], one row a frame, got {signal.shape}"
+            )
+    flat = [jnp.asarray(x, jnp.float32).reshape(len(x), -1) for x in (train, test)]
+    components = min(_COMPONENTS, len(train) - 1, flat[0].shape[1])
+    predicted = _predict(flat[0], train_signal, flat[1], key, components)
+    explained = ((predicted - test_signal) ** 2).mean(0) / test_signal.var(0)
+    return jnp.mean(1.0 - explained)

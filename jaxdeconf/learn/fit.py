@@ -1,0 +1,149 @@
+"""The only training loop: Adam on mini-batches, in jitted chunks that a host loop drives.
+
+A chunk is the unit of everything else: where metrics appear, where a caller saves, evaluates or
+stops. `fit` yields at every chunk's edge and keeps no state of its own: what it yields is enough to
+go on from, to the last bit.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+Variables = dict[str, Any]  # {"params": trained, "batch_stats": carried along}
+
+# (variables, data, indices [B], key, step []) -> (loss [], (new batch_stats, metrics))
+Loss = Callable[[Variables, Any, Array, Array, Array], tuple[Array, tuple[Any, dict[str, Array]]]]
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How a network is trained: Adam (Kingma & Ba 2015), exponential decay of its learning rate."""
+
+    epochs: float = 1.0  # passes over the samples; a fraction stops within a pass
+    batch_size: int = 64  # samples a step
+    learning_rate: float = 1e-3  # Adam's, at the start
+    decay: float = 0.96  # the learning rate's factor an epoch
+    chunk: int = 64  # steps a jitted call; ours: seconds on a CPU, the bar's and a stop's grain
+
+    def __post_init__(self):
+        for name in ("epochs", "batch_size", "learning_rate", "decay", "chunk"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
+
+    def steps_per_epoch(self, samples: int) -> int:
+        """Whole batches in one pass; the samples left over differ from pass to pass."""
+        if samples < self.batch_size:
+            raise ValueError(
+                f"batch_size: expected at most {samples} samples, got {self.batch_size}"
+            )
+        return samples // self.batch_size
+
+    def steps(self, samples: int) -> int:
+        """Steps of the whole training on so many samples."""
+        return max(1, round(self.epochs * self.steps_per_epoch(samples)))
+
+
+class FitState(NamedTuple):
+    """Everything that training changes."""
+
+    variables: Variables
+    moments: Any  # Adam's
+    step: Array  # [] int32
+
+
+def start(variables: Variables) -> FitState:
+    """The state before the first step."""
+    return FitState(variables, optax.scale_by_adam().init(variables["params"]), jnp.int32(0))
+
+
+def learning_rate(config: FitConfig, steps_per_epoch: int, step: Array) -> Array:
+    """[] the learning rate of a step; it decays smoothly, so that short trainings have it too."""
+    return config.learning_rate * config.decay ** (step / steps_per_epoch)
+
+
+@partial(jax.jit, static_argnames=("loss", "config", "samples"), donate_argnames="state")
+def _chunk(
+    loss: Loss,
+    config: FitConfig,
+    samples: int,
+    state: FitState,
+    data: Any,
+    key: Array,
+    length: Array,
+) -> tuple[FitState, dict[str, Array]]:
+    """`length` steps within one epoch, and the mean of their metrics."""
+    steps_per_epoch = config.steps_per_epoch(samples)
+    shuffle_key, noise_key = jax.random.split(key)
+    epoch = state.step // steps_per_epoch
+    order = jax.random.permutation(jax.random.fold_in(shuffle_key, epoch), samples)
+    adam = optax.scale_by_adam()
+
+    def advance(state: FitState) -> tuple[FitState, dict[str, Array]]:
+        first = (state.step % steps_per_epoch) * config.batch_size
+        indices = jax.lax.dynamic_slice_in_dim(order, first, config.batch_size)
+
+        def objective(params: Any):
+            variables = {**state.variables, "params": params}
+            return loss(
+                variables, data, indices, jax.random.fold_in(noise_key, state.step), state.step
+            )
+
+        params = state.variables["params"]
+        (value, (batch_stats, metrics)), gradient = jax.value_and_grad(objective, has_aux=True)(
+            params
+        )
+        updates, moments = adam.update(gradient, state.moments)
+        rate = learning_rate(config, steps_per_epoch, state.step)
+        params = jax.tree.map(lambda p, u: p - rate * u, params, updates)
+        variables = {**state.variables, "params": params, "batch_stats": batch_stats}
+        return FitState(variables, moments, state.step + 1), {"loss": value, **metrics}
+
+    def body(_: Array, carry: tuple) -> tuple:
+        state, total = carry
+        state, metrics = advance(state)
+        return state, jax.tree.map(jnp.add, total, metrics)
+
+    zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(advance, state)[1])
+    # A trip count that is data: one compilation serves the shorter chunk at an epoch's end.
+    state, total = jax.lax.fori_loop(0, length, body, (state, zeros))
+    return state, jax.tree.map(lambda a: a / length, total)
+
+
+def fit(
+    loss: Loss,
+    state: FitState,
+    data: Any,
+    samples: int,
+    key: Array,
+    config: FitConfig,
+    pause: int | None = None,
+) -> Iterator[tuple[FitState, dict[str, Array]]]:
+    """Trains, yielding at every chunk's edge; chunks end where an epoch ends.
+
+    Args:
+      loss: (variables, data, indices [B], key, step) -> (loss, (batch_stats, metrics)).
+      state: from `start`, or one that was yielded before: training goes on from its step as if it
+        had never stopped. Its buffers are donated.
+      data: any pytree of arrays on the device; `loss` picks what `indices` name.
+      samples: how many there are to index.
+      key: shuffles and whatever noise the loss draws.
+      config: how long and how fast.
+      pause: a chunk also ends at every multiple of so many steps.
+    Yields:
+      The state, and the chunk's mean of every metric.
+    """
+    per_epoch, last = config.steps_per_epoch(samples), config.steps(samples)
+    step = int(state.step)
+    while step < last:
+        length = min(config.chunk, per_epoch - step % per_epoch, last - step)
+        if pause is not None:
+            length = min(length, pause - step % pause)
+        state, metrics = _chunk(loss, config, samples, state, data, key, jnp.int32(length))
+        step += length
+        yield state, metrics

@@ -1,0 +1,51 @@
+"""The linear start against NumPy's SVD, and against sources that are known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdeconf.learn.linear_start import linear_start, principal_components
+
+SAMPLES, PIXELS, SOURCES = 4000, 60, 3
+
+
+def mixture(scales):
+    """Independent uniform, arcsine and Laplace sources, each with a direction of its own."""
+    keys = jax.random.split(jax.random.key(0), 3)
+    sources = jnp.stack(
+        [
+            jax.random.uniform(keys[0], (SAMPLES,), minval=-1.7, maxval=1.7),
+            jnp.sqrt(2.0) * jnp.sin(jax.random.uniform(keys[1], (SAMPLES,), maxval=2 * jnp.pi)),
+            jax.random.laplace(keys[2], (SAMPLES,)) / jnp.sqrt(2.0),
+        ],
+        axis=1,
+    )
+    directions = jnp.linalg.qr(jax.random.normal(jax.random.key(1), (PIXELS, SOURCES)))[0]
+    return sources, 0.3 + (sources * jnp.asarray(scales)) @ directions.T
+
+
+def test_principal_components_are_those_of_an_svd():
+    x = jax.random.normal(jax.random.key(2), (200, 30)) * jnp.linspace(3, 0.1, 30)
+    x = x - x.mean(0)
+    vectors, variances = principal_components(x, 4, jax.random.key(3))
+    _, singular, right = np.linalg.svd(np.asarray(x, np.float64), full_matrices=False)
+    np.testing.assert_allclose(variances, singular[:4] ** 2 / 200, rtol=1e-3)
+    np.testing.assert_allclose(np.abs(right[:4] @ np.asarray(vectors)), np.eye(4), atol=0.03)
+
+
+def test_components_are_white_and_reconstruct():
+    _, x = mixture((3.0, 2.0, 1.0))
+    start = linear_start(x, SOURCES, jax.random.key(4))
+    z = (x - start.mean) @ start.encoder
+    np.testing.assert_allclose(np.cov(z.T), np.eye(SOURCES), atol=1e-2)
+    np.testing.assert_allclose(start.mean + z @ start.decoder, x, atol=1e-3)
+
+
+def test_sources_of_equal_variance_are_parted():
+    # Equal eigenvalues: principal components alone are an arbitrary rotation of the sources.
+    sources, x = mixture((2.0, 2.0, 2.0))
+    start = linear_start(x, SOURCES, jax.random.key(5))
+    z = (x - start.mean) @ start.encoder
+    correlation = np.abs(np.corrcoef(np.asarray(z).T, np.asarray(sources).T)[:SOURCES, SOURCES:])
+    assert (correlation.max(axis=0) > 0.995).all()
+    assert (np.sort(correlation, axis=0)[:-1] < 0.08).all()
