@@ -2,6 +2,7 @@
 
 import time
 
+# pyright: reportMissingImports=false
 import torch
 from torch import nn
 from torch.nn import functional as F

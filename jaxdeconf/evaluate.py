@@ -3,6 +3,7 @@
 Shapes: R rollouts, T time, S state, A action, n samples.
 """
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -31,6 +32,11 @@ class EvaluateConfig:
             raise ValueError(f"rollouts: expected a positive integer, got {self.rollouts}")
         if not self.every > 0:
             raise ValueError(f"every: expected a positive number of epochs, got {self.every}")
+
+    def steps(self, per_epoch: int, total: int) -> tuple[int, ...]:
+        """The training steps after which a policy drives; the last one is always among them."""
+        between = max(1.0, self.every * per_epoch)
+        return (*(round(between * i) for i in range(1, math.ceil((total - 0.5) / between))), total)
 
 
 class Driver(NamedTuple):

@@ -87,6 +87,19 @@ def test_copycat_is_zero_for_a_covered_nuisance_and_exact_for_a_pure_copy(
     assert score == pytest.approx(np.mean((1 + shown**2) / 2), rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ("every", "per_epoch", "total", "steps"),
+    [
+        (0.25, 1250, 1562, (312, 625, 938, 1250, 1562)),
+        (10.0, 100, 2500, (1000, 2000, 2500)),
+        (10.0, 100, 1, (1,)),
+        (0.001, 10, 3, (1, 2, 3)),
+    ],
+)
+def test_evaluations_are_even_and_end_with_the_training(every, per_epoch, total, steps):
+    assert EvaluateConfig(every=every).steps(per_epoch, total) == steps
+
+
 @pytest.mark.parametrize(("field", "value"), [("rollouts", 0), ("every", 0.0)])
 def test_a_bad_config_names_the_field_and_the_value(field, value):
     with pytest.raises(ValueError, match=rf"{field}: expected .*{value}"):

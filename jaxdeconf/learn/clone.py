@@ -3,7 +3,7 @@
 Shapes: N trajectories, T time, B batch, L = 2 frames, A action.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import NamedTuple
@@ -91,10 +91,10 @@ def objective(config: CloneConfig) -> Loss:
 
 
 def clone(
-    config: CloneConfig, state: FitState, data: Demonstrations, key: Array, pause: int
+    config: CloneConfig, state: FitState, data: Demonstrations, key: Array, stops: Sequence[int]
 ) -> Iterator[tuple[FitState, dict[str, Array]]]:
-    """Trains a policy on demonstrations; yields as `fit` does, and at every `pause` steps."""
-    return fit(objective(config), state, data, len(data.actions), key, config, pause)
+    """Trains a policy on demonstrations; yields as `fit` does, and at every step in `stops`."""
+    return fit(objective(config), state, data, len(data.actions), key, config, stops)
 
 
 def act(config: resnet.ResNetConfig, variables: Variables, previous: Array, current: Array):

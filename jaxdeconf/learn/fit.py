@@ -5,7 +5,7 @@ stops. `fit` yields at every chunk's edge and keeps no state of its own: what it
 go on from, to the last bit.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -122,7 +122,7 @@ def fit(
     samples: int,
     key: Array,
     config: FitConfig,
-    pause: int | None = None,
+    stops: Sequence[int] = (),
 ) -> Iterator[tuple[FitState, dict[str, Array]]]:
     """Trains, yielding at every chunk's edge; chunks end where an epoch ends.
 
@@ -134,7 +134,7 @@ def fit(
       samples: how many there are to index.
       key: shuffles and whatever noise the loss draws.
       config: how long and how fast.
-      pause: a chunk also ends at every multiple of so many steps.
+      stops: steps, ascending, at which a chunk also ends.
     Yields:
       The state, and the chunk's mean of every metric.
     """
@@ -142,8 +142,7 @@ def fit(
     step = int(state.step)
     while step < last:
         length = min(config.chunk, per_epoch - step % per_epoch, last - step)
-        if pause is not None:
-            length = min(length, pause - step % pause)
+        length = min([length, *(stop - step for stop in stops if stop > step)])
         state, metrics = _chunk(loss, config, samples, state, data, key, jnp.int32(length))
         step += length
         yield state, metrics

@@ -46,7 +46,7 @@ def test_the_network_sees_the_last_frame_and_a_blank_one_first(monkeypatch):
 def test_it_learns_what_the_frame_shows():
     data = demonstrations()
     state = clone.initial_state(CONFIG, (64, 64, 3), 1, jax.random.key(1))
-    *_, (state, metrics) = clone.clone(CONFIG, state, data, jax.random.key(2), pause=45)
+    *_, (state, metrics) = clone.clone(CONFIG, state, data, jax.random.key(2), stops=(45, 90))
     assert metrics["loss"] < 0.1 * jnp.var(data.actions)
     acted = clone.act(CONFIG.network, state.variables, data.frames[1:4], data.frames[2:5])
     assert acted.shape == (3, 1)

@@ -36,9 +36,9 @@ def begin():
     return start({"params": {"w": jnp.zeros(SIZE)}, "batch_stats": jnp.int32(0)})
 
 
-def last(config, data, state=None, pause=None):
+def last(config, data, state=None, stops=()):
     *_, final = fit(
-        least_squares(), state or begin(), data, SAMPLES, jax.random.key(1), config, pause
+        least_squares(), state or begin(), data, SAMPLES, jax.random.key(1), config, stops
     )
     return final
 
@@ -63,10 +63,10 @@ def test_it_learns(data):
     assert metrics["loss"] < 1e-3
 
 
-@pytest.mark.parametrize(("chunk", "pause"), [(1, None), (3, None), (64, 2), (64, 7)])
-def test_neither_chunks_nor_pauses_change_a_bit(data, chunk, pause):
+@pytest.mark.parametrize(("chunk", "stops"), [(1, ()), (3, ()), (64, (2, 4, 12)), (64, (7,))])
+def test_neither_chunks_nor_stops_change_a_bit(data, chunk, stops):
     whole, _ = last(FitConfig(epochs=2.5, batch_size=8, chunk=64), data)
-    split, _ = last(FitConfig(epochs=2.5, batch_size=8, chunk=chunk), data, pause=pause)
+    split, _ = last(FitConfig(epochs=2.5, batch_size=8, chunk=chunk), data, stops=stops)
     assert int(split.step) == 12
     assert jax.tree.all(jax.tree.map(lambda a, b: (a == b).all(), whole, split))
 
@@ -100,7 +100,7 @@ def test_an_epoch_shows_every_sample_once():
 
 def test_it_compiles_once(data):
     before = fitting._chunk._cache_size()
-    last(FitConfig(epochs=2.6, batch_size=8, chunk=2, learning_rate=0.011), data, pause=3)
+    last(FitConfig(epochs=2.6, batch_size=8, chunk=2, learning_rate=0.011), data, stops=(3, 9))
     assert fitting._chunk._cache_size() == before + 1
 
 

@@ -1,0 +1,79 @@
+"""A bar per stage on a terminal; nothing elsewhere."""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from jaxdeconf.learn.fit import FitConfig, FitState
+
+
+class Reporter:
+    """What a run says to a person while it works."""
+
+    def __init__(self, console: Console | None = None):
+        """Speaks on `console`, by default standard error."""
+        self.console = console or Console(stderr=True)
+
+    def say(self, text: str) -> None:
+        """One line, on a terminal."""
+        if self.console.is_terminal:
+            self.console.print(text, highlight=False)
+
+    def bar(self, stage: str, total: int, done: int = 0) -> "Bar":
+        """A bar for `total` steps of a stage, of which `done` are behind us."""
+        return Bar(self.console, stage, total, done)
+
+
+class Bar:
+    """One stage's bar; a context manager."""
+
+    def __init__(self, console: Console, stage: str, total: int, done: int):
+        """Use `Reporter.bar`."""
+        self._progress = Progress(
+            TextColumn("{task.description:<22}"),
+            BarColumn(),
+            TextColumn("{task.completed:>6.0f}/{task.total:.0f}"),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+            TextColumn("{task.fields[note]}"),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._task = self._progress.add_task(stage, total=total, completed=done, note="compiling")
+
+    def __enter__(self) -> "Bar":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._progress.stop()
+
+    def update(self, done: int, note: str) -> None:
+        """Sets the bar to `done` steps, with a note beside it."""
+        self._progress.update(self._task, completed=done, note=note)
+
+    def track(
+        self, chunks: Iterator[tuple[FitState, dict]], config: FitConfig
+    ) -> Iterator[tuple[FitState, dict[str, float]]]:
+        """Passes a `fit` through, showing loss and images/s; stops at a loss that is not finite.
+
+        Yields:
+          The state, and the metrics as Python floats.
+        Raises:
+          FloatingPointError: with the step and the value.
+        """
+        clock, previous = time.perf_counter(), None
+        for state, metrics in chunks:
+            values = {name: float(value) for name, value in metrics.items()}  # waits for the chunk
+            step, now = int(state.step), time.perf_counter()
+            if not abs(values["loss"]) < float("inf"):
+                raise FloatingPointError(f"step {step}: loss is {values['loss']}")
+            note = f"loss {values['loss']:.4g}"
+            if previous is not None:  # the first chunk's time is the compiler's
+                note += f"  {(step - previous) * config.batch_size / (now - clock):,.0f} images/s"
+            self.update(step, note)
+            clock, previous = now, step
+            yield state, values
+            clock += time.perf_counter() - now  # what the caller does is not training

@@ -1,0 +1,256 @@
+"""The flow of a run: collect, disentangle, mask, clone, evaluate. Each stage resumes by itself.
+
+Shapes: N trajectories, T time, S state, A action, O latent, H reaction horizon, n frames.
+"""
+
+import time
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxdeconf import evaluate, mask, systems
+from jaxdeconf.expert import expert_trajectories
+from jaxdeconf.learn import clone, disentangle, views
+from jaxdeconf.learn.fit import FitState, Variables
+from jaxdeconf.pipeline.config import Config
+from jaxdeconf.pipeline.progress import Reporter
+from jaxdeconf.pipeline.store import Store
+from jaxdeconf.systems import System, Trajectories, random_trajectories
+from jaxdeconf.systems.rollout import frames
+
+POLICIES = ("BcVanilla", "BcManual", "Masked", "Reconstructed")
+
+
+class Collected(NamedTuple):
+    """All trajectories of a run."""
+
+    random: Trajectories  # for the β-VAE
+    held_out: Trajectories  # random-policy ones that nothing is trained on
+    expert: Trajectories  # for the mask and for cloning
+    driven: Trajectories  # the expert from the initial states of the evaluation
+    unconverged: Array  # [N] steps of `expert` whose plan had not converged
+
+
+class Disentangled(NamedTuple):
+    """The trained β-VAE and which of its latents carry anything."""
+
+    variables: Variables
+    kl: Array  # [O] nats, on held-out frames
+    active: Array  # [O] bool
+
+
+class Cloned(NamedTuple):
+    """A trained policy, and how it drove while it was trained."""
+
+    weights: evaluate.Weights
+    history: list[list[float]]  # [epoch, mean, standard deviation] of the rollout loss
+    train_loss: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """What every stage needs: the question, the disk and the screen."""
+
+    config: Config
+    store: Store
+    reporter: Reporter
+    seconds: dict[str, float]  # filled in stage by stage
+
+    @property
+    def system(self) -> System:
+        """The system that the config names."""
+        return systems.get(self.config.system)
+
+    def key(self, name: str) -> Array:
+        """The key of one named random choice: same seed and name, same key."""
+        return jax.random.fold_in(jax.random.key(self.config.seed), zlib.crc32(name.encode()))
+
+    def stage(self, name: str, compute: Callable[[], Any]) -> Any:
+        """A stage in one piece: loaded if it was done before, else computed and saved."""
+        saved = self.store.load(name, compute)
+        if saved is not None:
+            self.seconds[name] = saved[1]["seconds"]
+            return saved[0]
+        with self.reporter.bar(name, 1) as bar:
+            begin = time.perf_counter()
+            value = jax.block_until_ready(compute())
+            self.seconds[name] = time.perf_counter() - begin
+            bar.update(1, "")
+        self.store.save(name, 0, value, {"seconds": self.seconds[name]})
+        return value
+
+
+def collect(run: Run) -> Collected:
+    """Random-policy and expert trajectories, from initial states set at random."""
+    config, system = run.config, run.system
+    learned, held_out = config.collect.random_trajectories, config.collect.held_out_trajectories
+    imitated, driven = config.collect.expert_trajectories, config.eval.rollouts
+
+    def compute() -> Collected:
+        # Each policy rolls out all its trajectories in one call: one shape, one compilation.
+        random = random_trajectories(system, run.key("random"), learned + held_out)
+        keys = jax.random.split(run.key("expert initial states"), imitated + driven)
+        states = jax.vmap(system.sample_initial)(keys)
+        expert, unconverged = expert_trajectories(system, states, run.key("expert"), config.expert)
+        return Collected(
+            jax.tree.map(lambda a: a[:learned], random),
+            jax.tree.map(lambda a: a[learned:], random),
+            jax.tree.map(lambda a: a[:imitated], expert),
+            jax.tree.map(lambda a: a[imitated:], expert),
+            unconverged[:imitated],
+        )
+
+    return run.stage("collect", compute)
+
+
+def valid_frames(system: System, trajectories: Trajectories) -> tuple[Array, Array]:
+    """The frames of all valid steps.
+
+    Returns:
+      uint8 [n, 64, 64, 3], and the previous actions [n, A] that their nuisance shows.
+    """
+    flat = jax.tree.map(lambda a: a[trajectories.valid], trajectories)
+    return jax.jit(partial(frames, system))(flat), flat.previous_actions
+
+
+def train_disentangler(run: Run, collected: Collected) -> Disentangled:
+    """Trains the β-VAE on random-policy frames."""
+    config, name = run.config.vae, "disentangle"
+    weights_key = run.key("VAE initial weights")
+
+    def judge(variables: Variables) -> Disentangled:
+        images, _ = valid_frames(run.system, collected.held_out)
+        mean, log_variance = disentangle.encode(config.network, variables, images)
+        kl = disentangle.kl_divergence(mean, log_variance).mean(axis=0)
+        return Disentangled(variables, kl, kl > disentangle.ACTIVE_KL)
+
+    images, _ = valid_frames(run.system, collected.random)
+    state, seconds, total = None, 0.0, config.steps(len(images))
+    begin_state = partial(disentangle.initial_state, config, images, weights_key)
+    if saved := run.store.load(name, begin_state):
+        state, seconds = saved[0], saved[1]["seconds"]
+    with run.reporter.bar(name, total, int(state.step) if state else 0) as bar:
+        begin = time.perf_counter() - seconds
+        if state is None:
+            state = begin_state()
+        per_epoch = config.steps_per_epoch(len(images))
+        chunks = disentangle.disentangle(config, state, images, run.key("VAE training"))
+        for state, _ in bar.track(chunks, config):
+            if state.step % per_epoch == 0 or state.step == total:
+                seconds = time.perf_counter() - begin
+                run.store.save(name, int(state.step), state, {"seconds": seconds})
+    run.seconds[name] = seconds
+    return judge(state.variables)
+
+
+def first_latents(run: Run, collected: Collected, vae: Disentangled) -> Array:
+    """[N, O] latents of the expert trajectories' first frames; 0, the prior mean, if inactive."""
+    first = jax.tree.map(lambda a: a[:, 0], collected.expert)
+    images = jax.jit(partial(frames, run.system))(first)
+    mean, _ = disentangle.encode(run.config.vae.network, vae.variables, images)
+    return jnp.where(vae.active, mean, 0.0)
+
+
+def find_mask(run: Run, collected: Collected, vae: Disentangled) -> mask.Mask:
+    """Algorithm 1 on the expert trajectories."""
+    config, begin = run.config.mask, time.perf_counter()
+    found = mask.find_mask(
+        collected.expert.states[:, 0],
+        first_latents(run, collected, vae),
+        collected.expert.actions[:, : config.reaction_horizon],
+        threshold=config.threshold,
+        alpha=config.alpha,
+    )
+    run.seconds["mask"] = time.perf_counter() - begin
+    return found
+
+
+def view_of(run: Run, policy: str, vae: Disentangled, found: mask.Mask) -> tuple[views.View, Any]:
+    """The view that a policy is cloned on and drives with, and the view's parameters."""
+    keep = vae.active if policy == "Reconstructed" else vae.active & ~jnp.asarray(found.mask)
+    reconstruction = {"variables": vae.variables, "keep": keep}
+    return {
+        "BcVanilla": (views.identity, {}),
+        "BcManual": (views.covered(run.system.nuisance), {}),
+        "Masked": (views.reconstructed(run.config.vae.network), reconstruction),
+        "Reconstructed": (views.reconstructed(run.config.vae.network), reconstruction),
+    }[policy]
+
+
+def demonstrations(
+    system: System, view: views.View, parameters: Any, trajectories: Trajectories
+) -> clone.Demonstrations:
+    """Every step of trajectories [N, T], as a view shows it."""
+
+    @jax.jit
+    def seen(parameters: Any) -> Array:
+        return jax.lax.map(lambda one: view(parameters, frames(system, one)), trajectories)
+
+    images = seen(parameters)
+    count, length = images.shape[:2]
+    first = jnp.tile(jnp.arange(length) == 0, count)
+    actions = (trajectories.actions / system.limits).reshape(count * length, -1)
+    return clone.Demonstrations(images.reshape(-1, *images.shape[2:]), first, actions)
+
+
+def train_policy(
+    run: Run, policy: str, collected: Collected, view: views.View, parameters: Any
+) -> Cloned:
+    """Clones the expert on one view, driving as it goes."""
+    config, system, name = run.config.bc, run.system, f"clone {policy}"
+    imitated = jax.tree.map(lambda a: a[:, : config.trajectory_steps], collected.expert)
+    samples = imitated.valid.size
+    per_epoch, total = config.steps_per_epoch(samples), config.steps(samples)
+    evaluations = run.config.eval.steps(per_epoch, total)
+    driver = evaluate.Driver(config.network, view)
+    # One key for the initial weights and the order of samples of all policies: they differ in
+    # their views alone.
+    weights_key, frame = run.key("policy initial weights"), collected.expert.states.shape[-1]
+    shape = system.frame(jnp.zeros(frame), jnp.zeros_like(system.limits)).shape
+    begin_state = partial(clone.initial_state, config, shape, len(system.action_limit), weights_key)
+    notes: dict[str, Any] = {"seconds": 0.0, "history": [], "train_loss": float("nan")}
+    state: FitState | None = None
+    if saved := run.store.load(name, begin_state):
+        state, notes = saved
+
+    def drive(variables: Variables) -> list[float]:
+        trajectories = evaluate.drive(
+            system,
+            driver,
+            evaluate.Weights(variables, parameters),
+            collected.driven.states[:, 0],
+            run.key("evaluation"),
+        )
+        loss = evaluate.rollout_loss(system, trajectories)
+        return [float(loss.mean()), float(loss.std())]
+
+    if state is None or state.step < total:
+        with run.reporter.bar(name, total, int(state.step) if state else 0) as bar:
+            begin = time.perf_counter() - notes["seconds"]
+            data = demonstrations(system, view, parameters, imitated)
+            chunks = clone.clone(
+                config, state or begin_state(), data, run.key("cloning"), evaluations
+            )
+            losses = []
+            for state, metrics in bar.track(chunks, config):
+                losses.append(metrics["loss"])
+                if int(state.step) in evaluations:
+                    score = drive(state.variables)
+                    notes = {
+                        "history": [*notes["history"], [int(state.step) / per_epoch, *score]],
+                        "train_loss": float(np.mean(losses)),
+                        "seconds": time.perf_counter() - begin,
+                    }
+                    run.store.save(name, int(state.step), state, notes)
+                    losses = []
+    assert state is not None
+    run.seconds[name] = notes["seconds"]
+    weights = evaluate.Weights(state.variables, parameters)
+    return Cloned(weights, notes["history"], notes["train_loss"])

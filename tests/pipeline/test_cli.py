@@ -1,0 +1,92 @@
+"""The command line: presets, flags, and what a wrong argument costs."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import asdict
+
+import pytest
+
+from experiments.cartpole import PRESETS
+from jaxdeconf.pipeline import cli
+from jaxdeconf.pipeline.store import write_json
+
+
+def parse(*arguments):
+    return cli.parse("", PRESETS, arguments)
+
+
+def test_the_default_is_the_laptop_preset():
+    asked = parse()
+    assert asked.config == PRESETS["laptop"]
+    assert (asked.seeds, asked.out, asked.resume) == (1, None, None)
+
+
+def test_flags_change_the_preset_they_are_given_with():
+    asked = parse("--preset", "smoke", "--bc.learning-rate", "0.5", "--vae.network.latents", "7")
+    assert asked.config.bc.learning_rate == 0.5
+    assert asked.config.vae.network.latents == 7
+    assert asked.config.collect == PRESETS["smoke"].collect
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--preset", "big"], "--preset: expected one of smoke, laptop, paper, got 'big'"),
+        (["--preset"], "--preset: expected one of smoke, laptop, paper, got ''"),
+        (["--bc.learning-rate", "fast"], "--bc.learning-rate: .*'fast'"),
+        (["--bc.learning-rate", "-1"], "learning_rate: expected a positive number, got -1.0"),
+        (["--bc.lerning-rate", "1"], "--bc.lerning-rate.*--bc.learning-rate"),
+        (["--vae.beta", "-2"], "beta: expected a number >= 0, got -2.0"),
+        (["--mask.alpha", "2"], "alpha: expected a number in .0, 1., got 2.0"),
+        (["--mask.reaction-horizon", "0"], "reaction_horizon: expected a positive integer, got 0"),
+        (["--bc.network.width", "0"], "width: expected a positive integer, got 0"),
+        (["--eval.rollouts", "0"], "rollouts: expected a positive integer, got 0"),
+        (["--expert.horizon", "0"], "horizon: expected an integer >= 1, got 0"),
+        (["--collect.expert-trajectories", "0"], "expert_trajectories: expected .*, got 0"),
+        (["--seed", "-1"], "seed: expected an integer in .*, got -1"),
+        (["--seeds", "0"], "seeds: expected a positive integer, got 0"),
+        (["--out", "a", "--resume", "b"], "b/config.json: no run to resume there"),
+    ],
+)
+def test_a_wrong_argument_exits_with_2_and_one_line(arguments, said, capsys):
+    assert cli.main("", PRESETS, arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("error: ")
+    assert re.search(said, printed.err)
+
+
+def test_resuming_needs_no_flags(tmp_path):
+    config = parse("--preset", "smoke", "--vae.beta", "3", "--seed", "5").config
+    write_json(tmp_path / "config.json", asdict(config))
+    assert parse("--resume", str(tmp_path)).config == config
+
+
+def test_a_config_that_is_none_is_named(tmp_path, capsys):
+    (tmp_path / "config.json").write_text(json.dumps({"seed": 1, "wheels": 4}))
+    assert cli.main("", PRESETS, ["--resume", str(tmp_path)]) == 2
+    assert "config.json: not a config of jaxdeconf" in capsys.readouterr().err
+
+
+def test_out_and_resume_exclude_each_other(tmp_path, capsys):
+    write_json(tmp_path / "config.json", asdict(PRESETS["smoke"]))
+    assert cli.main("", PRESETS, ["--out", "a", "--resume", str(tmp_path)]) == 2
+    assert "expected only one of --out and --resume" in capsys.readouterr().err
+
+
+def test_help_shows_every_field_and_exits_with_0():
+    run = subprocess.run(
+        [sys.executable, "-m", "experiments.cartpole", "--help"], capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    for flag in (
+        "--bc.learning-rate",
+        "--vae.objective",
+        "--mask.threshold",
+        "--resume",
+        "--seeds",
+    ):
+        assert flag in run.stdout

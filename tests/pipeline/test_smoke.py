@@ -1,0 +1,119 @@
+"""The whole program, as a user runs it: every stage, every file."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+pytestmark = pytest.mark.slow
+POLICIES = ("BcVanilla", "BcManual", "Masked", "Reconstructed")
+
+
+def experiment(*arguments, cache):
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-m", "experiments.cartpole", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "XDG_CACHE_HOME": str(cache)},
+    )
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory, cache):
+    directory = tmp_path_factory.mktemp("runs") / "smoke"
+    run = experiment("--preset", "smoke", "--out", str(directory), cache=cache)
+    assert run.returncode == 0, run.stderr
+    return directory, run
+
+
+@pytest.fixture(scope="module")
+def results(done):
+    return json.loads((done[0] / "results.json").read_text())
+
+
+def test_it_says_what_it_found_and_is_quiet_beside(done):
+    _, run = done
+    assert run.stderr == ""
+    assert run.stdout.startswith("cartpole, smoke, seed 0: masked latents: ")
+    assert all(policy in run.stdout for policy in POLICIES)
+    assert run.stdout.rstrip().endswith("report.html")
+
+
+def test_results_hold_what_is_promised(results):
+    latents, states, actions, horizon = 4, 4, 1, 3
+    assert (results["system"], results["preset"], results["seed"]) == ("cartpole", "smoke", 0)
+    for name in ("mask", "active", "kl", "nuisance_correlation"):
+        assert np.shape(results[name]) == (latents,)
+    assert np.shape(results["state_observation"]) == (states, latents)
+    assert np.shape(results["state_action"]) == (states, horizon, actions)
+    assert 0 < results["expert"]["rollout_loss"] < 20
+    assert 0 <= results["expert"]["violation_rate"] < 1
+    assert set(results["policies"]) == set(POLICIES)
+    for policy in results["policies"].values():
+        assert 0 <= policy["survival"] <= 1
+        assert 0 <= policy["copycat"] <= 2
+        assert policy["leakage"] <= 1
+        assert policy["train_loss"] > 0
+        epochs = [epoch for epoch, _, _ in policy["rollout_loss"]["per_epoch"]]
+        assert epochs == pytest.approx([0.25, 0.5])
+        last = policy["rollout_loss"]["per_epoch"][-1]
+        assert last[1:] == pytest.approx(
+            [policy["rollout_loss"]["mean"], policy["rollout_loss"]["std"]], rel=1e-3
+        )
+    stages = {"collect", "disentangle", "mask", "report", *(f"clone {p}" for p in POLICIES)}
+    assert set(results["seconds"]) == stages
+    assert {"python", "jax", "jaxdeconf", "device"} <= set(results["versions"])
+
+
+def test_the_mask_follows_from_the_statistics(results):
+    depends = np.array(results["state_observation"]) > results["threshold"]
+    moves = (np.array(results["state_action"]) > results["threshold"]).any(axis=(1, 2))
+    assert results["mask"] == (~(depends & moves[:, None]).any(axis=0)).tolist()
+
+
+def test_what_a_policy_cannot_see_it_does_not_copy(results):
+    policies = results["policies"]
+    assert policies["BcManual"]["copycat"] == 0
+    assert policies["BcVanilla"]["leakage"] > 0.95
+    assert policies["BcManual"]["leakage"] < 0.1
+
+
+def test_every_picture_is_there(done):
+    directory, _ = done
+    for name in ("dependence", "rollout_loss", "frames", "traversals"):
+        with Image.open(directory / "figures" / f"{name}.png") as image:
+            assert min(image.size) > 100
+    with Image.open(directory / "figures" / "rollouts.gif") as image:
+        assert getattr(image, "n_frames", 1) > 10
+    assert "data:image/png;base64," in (directory / "report.html").read_text()
+
+
+def test_a_finished_run_resumes_to_the_same_numbers(done, results, cache, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(done[0], copy)
+    # As if it had been killed before the third policy was done.
+    for name in ("clone Masked", "clone Reconstructed"):
+        shutil.rmtree(copy / "checkpoints" / name)
+    run = experiment("--resume", str(copy), cache=cache)
+    assert run.returncode == 0, run.stderr
+    again = json.loads((copy / "results.json").read_text())
+    for volatile in ("seconds", "peak_memory_mb"):
+        del again[volatile], results[volatile]
+    assert again == results
+
+
+def test_a_run_is_not_overwritten(done, cache):
+    run = experiment("--preset", "smoke", "--out", str(done[0]), cache=cache)
+    assert run.returncode == 2
+    assert run.stderr.count("\n") == 1
+    assert "holds a run; use --resume" in run.stderr

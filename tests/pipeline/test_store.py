@@ -1,0 +1,82 @@
+"""A run directory: what comes back, and what it refuses."""
+
+import json
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.cartpole import PRESETS
+from jaxdeconf.learn.fit import start
+from jaxdeconf.pipeline.store import Store, StoreError, read_config, write_json
+
+CONFIG = PRESETS["smoke"]
+
+
+def state():
+    params = {"w": jnp.arange(6.0).reshape(2, 3), "b": jnp.ones(3)}
+    return start({"params": params, "batch_stats": {}})
+
+
+def test_what_is_saved_comes_back_with_its_types_and_notes(tmp_path):
+    store = Store(tmp_path, CONFIG, resume=False)
+    assert store.load("train", state) is None
+    store.save("train", 3, state(), {"history": [[0.5, 1.0]], "seconds": 2.0})
+    store.save("train", 7, state()._replace(step=jnp.int32(7)), {"history": [], "seconds": 4.0})
+    loaded, notes = Store(tmp_path, CONFIG, resume=True).load("train", state)
+    assert jax.tree.structure(loaded) == jax.tree.structure(state())
+    np.testing.assert_array_equal(loaded.variables["params"]["w"], [[0, 1, 2], [3, 4, 5]])
+    assert (int(loaded.step), notes) == (7, {"history": [], "seconds": 4.0})
+
+
+def test_the_config_comes_back_as_it_was(tmp_path):
+    for name, config in PRESETS.items():
+        Store(tmp_path / name, config, resume=False)
+        assert read_config(tmp_path / name) == config
+
+
+def test_a_run_is_not_overwritten(tmp_path):
+    Store(tmp_path, CONFIG, resume=False)
+    with pytest.raises(StoreError, match=r"holds a run; use --resume .*, or another --out"):
+        Store(tmp_path, replace(CONFIG, seed=1), resume=False)
+    assert read_config(tmp_path).seed == 0
+
+
+def test_a_run_is_not_resumed_with_another_config(tmp_path):
+    Store(tmp_path, CONFIG, resume=False)
+    other = replace(CONFIG, vae=replace(CONFIG.vae, beta=9.0))
+    with pytest.raises(StoreError, match=r"another config: --vae.beta was 2.0, is 9.0"):
+        Store(tmp_path, other, resume=True)
+
+
+def test_nothing_to_resume(tmp_path):
+    with pytest.raises(StoreError, match=r"config.json: no run to resume there"):
+        Store(tmp_path, CONFIG, resume=True)
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match=r"file/run: cannot be written"):
+        Store(tmp_path / "file" / "run", CONFIG, resume=False)
+
+
+def test_a_checkpoint_of_something_else_is_named_and_kept(tmp_path):
+    store = Store(tmp_path, CONFIG, resume=False)
+    store.save("train", 3, state(), {})
+    with pytest.raises(StoreError, match=r"train/3: not a checkpoint of this run .*delete"):
+        store.load("train", lambda: {"other": jnp.zeros(2)})
+    assert store.load("train", state) is not None
+
+
+def test_json_is_replaced_in_one_step(tmp_path):
+    file = tmp_path / "a.json"
+    assert write_json(file, {"x": jnp.arange(3), "y": (np.float32(0.5), True, None)}) == {
+        "x": [0, 1, 2],
+        "y": [0.5, True, None],
+    }
+    assert json.loads(file.read_text())["y"] == [0.5, True, None]
+    with pytest.raises(TypeError):
+        write_json(file, {"x": object()})
+    assert json.loads(file.read_text())["x"] == [0, 1, 2]
