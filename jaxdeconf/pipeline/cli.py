@@ -45,7 +45,8 @@ def main(
       presets: the configs by name; "laptop" is the default.
       arguments: those of the command line.
     Returns:
-      The exit code: 0, 1 if training diverges, 2 for a wrong argument or run directory.
+      The exit code: 0, 1 if training diverges, 2 for a wrong argument or run directory, 130 if
+      interrupted.
     """
     try:
         asked = parse(description, presets, arguments)
@@ -127,6 +128,9 @@ def _run(asked: Arguments) -> int:
         except FloatingPointError as error:
             print(f"error: {error}; the last good checkpoint is in {place}", file=sys.stderr)
             return 1
+        except KeyboardInterrupt:
+            print(f"\ninterrupted; go on with --resume {directory}", file=sys.stderr)
+            return 130
         print(summary(done[-1], place))
     if several:
         write_summary(directory, done)

@@ -165,13 +165,18 @@ def pictures(
     for policy in ("BcManual", "Masked", "Reconstructed"):
         strips[policy] = _seen(*view_of(run, policy, vae, found), images)
     trajectories = {"Expert": collected.driven, **driven}
-    first = {name: jax.tree.map(lambda a: a[0], rolled) for name, rolled in trajectories.items()}
+    # The start that is of middling difficulty to the expert.
+    order = jnp.argsort(evaluate.rollout_loss(system, collected.driven))
+    start = order[len(order) // 2]
+    shown = {
+        name: jax.tree.map(lambda a: a[start], rolled) for name, rolled in trajectories.items()
+    }
     return Pictures(
         strips={name: np.asarray(strip) for name, strip in strips.items()},
         traversals=_traversals(run.config.vae.network, vae.variables),
         traversal_values=_TRAVERSAL,
-        rollouts={name: np.asarray(draw(one)) for name, one in first.items()},
-        alive={name: np.asarray(one.valid) for name, one in first.items()},
+        rollouts={name: np.asarray(draw(one)) for name, one in shown.items()},
+        alive={name: np.asarray(one.valid) for name, one in shown.items()},
         dt=system.dt,
     )
 

@@ -160,16 +160,19 @@ def first_latents(run: Run, collected: Collected, vae: Disentangled) -> Array:
 
 def find_mask(run: Run, collected: Collected, vae: Disentangled) -> mask.Mask:
     """Algorithm 1 on the expert trajectories."""
-    config, begin = run.config.mask, time.perf_counter()
-    found = mask.find_mask(
-        collected.expert.states[:, 0],
-        first_latents(run, collected, vae),
-        collected.expert.actions[:, : config.reaction_horizon],
-        threshold=config.threshold,
-        alpha=config.alpha,
-    )
-    run.seconds["mask"] = time.perf_counter() - begin
-    return found
+    config = run.config.mask
+
+    def compute() -> mask.Mask:
+        found = mask.find_mask(
+            collected.expert.states[:, 0],
+            first_latents(run, collected, vae),
+            collected.expert.actions[:, : config.reaction_horizon],
+            threshold=config.threshold,
+            alpha=config.alpha,
+        )
+        return jax.tree.map(jnp.asarray, found)
+
+    return run.stage("mask", compute)
 
 
 def view_of(run: Run, policy: str, vae: Disentangled, found: mask.Mask) -> tuple[views.View, Any]:
