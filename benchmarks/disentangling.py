@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxdeconf.pipeline import cli, results, stages
+from jaxdeconf.pipeline import cli, findings, results, stages
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.store import Store, read_config, write_json
@@ -62,7 +62,7 @@ def main() -> int:
         config = dataclasses.replace(base, seed=seed)
         row = judge(config, folder / f"seed-{seed}")
         rows.append(row)
-        masked = f"{', '.join(map(str, row['masked'])) or 'none'} ({row['latent']})"
+        masked = f"{findings.listing(row['masked'])} ({findings.listing([row['latent']])})"
         print(
             f"{seed:4}  {row['first']:6.3f}  {row['second']:6.3f}  {masked:>17}  "
             f"{float(row['leakage']):7.3f}  {float(row['nuisance']):8.2f}  "
