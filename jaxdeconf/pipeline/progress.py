@@ -17,11 +17,6 @@ class Reporter:
         """Speaks on `console`, by default standard error."""
         self.console = console or Console(stderr=True)
 
-    def say(self, text: str) -> None:
-        """One line, on a terminal."""
-        if self.console.is_terminal:
-            self.console.print(text, highlight=False)
-
     def bar(self, stage: str, total: int, done: int = 0) -> "Bar":
         """A bar for `total` steps of a stage, of which `done` are behind us."""
         return Bar(self.console, stage, total, done)

@@ -18,6 +18,7 @@ from jax import Array
 import jaxdeconf
 from jaxdeconf import evaluate, leakage, mask
 from jaxdeconf.learn import disentangle
+from jaxdeconf.learn.views import View
 from jaxdeconf.nets import vae as network
 from jaxdeconf.pipeline.report import Pictures
 from jaxdeconf.pipeline.stages import (
@@ -25,6 +26,7 @@ from jaxdeconf.pipeline.stages import (
     Collected,
     Disentangled,
     Run,
+    drive,
     valid_frames,
     view_of,
 )
@@ -83,9 +85,7 @@ def judge_policy(
     system = run.system
     view, _ = view_of(run, policy, vae, found)
     driver = evaluate.Driver(run.config.bc.network, view)
-    driven = evaluate.drive(
-        system, driver, cloned.weights, collected.driven.states[:, 0], run.key("evaluation")
-    )
+    driven = drive(run, collected, view, cloned.weights)
     loss = evaluate.rollout_loss(system, driven)
     copied = evaluate.copycat(system, driver, cloned.weights, collected.driven, run.key("copycat"))
     return {
@@ -157,10 +157,10 @@ def pictures(
     run: Run, collected: Collected, vae: Disentangled, found: mask.Mask, driven: dict[str, Any]
 ) -> Pictures:
     """The frames that the report shows."""
-    system, draw = run.system, jax.jit(partial(frames, run.system))
+    system = run.system
     stride = max(1, system.steps // 2 // _STRIP)
     example = jax.tree.map(lambda a: a[0, : stride * _STRIP : stride], collected.expert)
-    images = draw(example)
+    images = frames(system, example)
     strips = {"Frame": images}
     for policy in ("BcManual", "Masked", "Reconstructed"):
         strips[policy] = _seen(*view_of(run, policy, vae, found), images)
@@ -175,16 +175,16 @@ def pictures(
         strips={name: np.asarray(strip) for name, strip in strips.items()},
         traversals=_traversals(run.config.vae.network, vae.variables),
         traversal_values=_TRAVERSAL,
-        rollouts={name: np.asarray(draw(one)) for name, one in shown.items()},
+        rollouts={name: np.asarray(frames(system, one)) for name, one in shown.items()},
         alive={name: np.asarray(one.valid) for name, one in shown.items()},
         dt=system.dt,
     )
 
 
-def _seen(view: Any, parameters: Any, images: Array) -> Array:
+@partial(jax.jit, static_argnames="view")
+def _seen(view: View, parameters: Any, images: Array) -> Array:
     """What a view makes of uint8 images [n, ...], a batch at a time."""
-    one = jax.jit(lambda p, x: jax.lax.map(lambda i: view(p, i[None])[0], x, batch_size=256))
-    return one(parameters, images)
+    return jax.lax.map(lambda image: view(parameters, image[None])[0], images, batch_size=256)
 
 
 def _traversals(config: network.VAEConfig, variables: Any) -> np.ndarray:

@@ -117,7 +117,7 @@ def valid_frames(system: System, trajectories: Trajectories) -> tuple[Array, Arr
       uint8 [n, 64, 64, 3], and the previous actions [n, A] that their nuisance shows.
     """
     flat = jax.tree.map(lambda a: a[trajectories.valid], trajectories)
-    return jax.jit(partial(frames, system))(flat), flat.previous_actions
+    return frames(system, flat), flat.previous_actions
 
 
 def train_disentangler(run: Run, collected: Collected) -> Disentangled:
@@ -132,15 +132,13 @@ def train_disentangler(run: Run, collected: Collected) -> Disentangled:
         return Disentangled(variables, kl, kl > disentangle.ACTIVE_KL)
 
     images, _ = valid_frames(run.system, collected.random)
-    state, seconds, total = None, 0.0, config.steps(len(images))
+    per_epoch, total = config.steps_per_epoch(len(images)), config.steps(len(images))
     begin_state = partial(disentangle.initial_state, config, images, weights_key)
-    if saved := run.store.load(name, begin_state):
-        state, seconds = saved[0], saved[1]["seconds"]
+    state, notes = run.store.load(name, begin_state) or (None, {"seconds": 0.0})
+    seconds = notes["seconds"]
     with run.reporter.bar(name, total, int(state.step) if state else 0) as bar:
         begin = time.perf_counter() - seconds
-        if state is None:
-            state = begin_state()
-        per_epoch = config.steps_per_epoch(len(images))
+        state = state or begin_state()  # after the clock: fitting the linear start takes seconds
         chunks = disentangle.disentangle(config, state, images, run.key("VAE training"))
         for state, _ in bar.track(chunks, config):
             if state.step % per_epoch == 0 or state.step == total:
@@ -153,7 +151,7 @@ def train_disentangler(run: Run, collected: Collected) -> Disentangled:
 def first_latents(run: Run, collected: Collected, vae: Disentangled) -> Array:
     """[N, O] latents of the expert trajectories' first frames; 0, the prior mean, if inactive."""
     first = jax.tree.map(lambda a: a[:, 0], collected.expert)
-    images = jax.jit(partial(frames, run.system))(first)
+    images = frames(run.system, first)
     mean, _ = disentangle.encode(run.config.vae.network, vae.variables, images)
     return jnp.where(vae.active, mean, 0.0)
 
@@ -187,73 +185,71 @@ def view_of(run: Run, policy: str, vae: Disentangled, found: mask.Mask) -> tuple
     }[policy]
 
 
+@partial(jax.jit, static_argnames=("system", "view"))
+def _seen(system: System, view: views.View, parameters: Any, trajectories: Trajectories) -> Array:
+    """uint8 [N, T, 64, 64, 3]: the frames of trajectories through a view, one trajectory a time."""
+    return jax.lax.map(lambda one: view(parameters, frames(system, one)), trajectories)
+
+
 def demonstrations(
     system: System, view: views.View, parameters: Any, trajectories: Trajectories
 ) -> clone.Demonstrations:
     """Every step of trajectories [N, T], as a view shows it."""
-
-    @jax.jit
-    def seen(parameters: Any) -> Array:
-        return jax.lax.map(lambda one: view(parameters, frames(system, one)), trajectories)
-
-    images = seen(parameters)
+    images = _seen(system, view, parameters, trajectories)
     count, length = images.shape[:2]
     first = jnp.tile(jnp.arange(length) == 0, count)
     actions = (trajectories.actions / system.limits).reshape(count * length, -1)
     return clone.Demonstrations(images.reshape(-1, *images.shape[2:]), first, actions)
 
 
+def drive(
+    run: Run, collected: Collected, view: views.View, weights: evaluate.Weights
+) -> Trajectories:
+    """Rollouts of a policy from the initial states that all policies of a run share."""
+    driver = evaluate.Driver(run.config.bc.network, view)
+    states, key = collected.driven.states[:, 0], run.key("evaluation")
+    return evaluate.drive(run.system, driver, weights, states, key)
+
+
 def train_policy(
     run: Run, policy: str, collected: Collected, view: views.View, parameters: Any
 ) -> Cloned:
     """Clones the expert on one view, driving as it goes."""
-    config, system, name = run.config.bc, run.system, f"clone {policy}"
+    config, name = run.config.bc, f"clone {policy}"
     imitated = jax.tree.map(lambda a: a[:, : config.trajectory_steps], collected.expert)
     samples = imitated.valid.size
     per_epoch, total = config.steps_per_epoch(samples), config.steps(samples)
     evaluations = run.config.eval.steps(per_epoch, total)
-    driver = evaluate.Driver(config.network, view)
-    # One key for the initial weights and the order of samples of all policies: they differ in
-    # their views alone.
-    weights_key, frame = run.key("policy initial weights"), collected.expert.states.shape[-1]
-    shape = system.frame(jnp.zeros(frame), jnp.zeros_like(system.limits)).shape
-    begin_state = partial(clone.initial_state, config, shape, len(system.action_limit), weights_key)
+    begin_state = partial(_initial_policy, run)
     notes: dict[str, Any] = {"seconds": 0.0, "history": [], "train_loss": float("nan")}
-    state: FitState | None = None
-    if saved := run.store.load(name, begin_state):
-        state, notes = saved
-
-    def drive(variables: Variables) -> list[float]:
-        trajectories = evaluate.drive(
-            system,
-            driver,
-            evaluate.Weights(variables, parameters),
-            collected.driven.states[:, 0],
-            run.key("evaluation"),
-        )
-        loss = evaluate.rollout_loss(system, trajectories)
-        return [float(loss.mean()), float(loss.std())]
-
-    if state is None or state.step < total:
-        with run.reporter.bar(name, total, int(state.step) if state else 0) as bar:
+    state, notes = run.store.load(name, begin_state) or (begin_state(), notes)
+    if state.step < total:
+        with run.reporter.bar(name, total, int(state.step)) as bar:
             begin = time.perf_counter() - notes["seconds"]
-            data = demonstrations(system, view, parameters, imitated)
-            chunks = clone.clone(
-                config, state or begin_state(), data, run.key("cloning"), evaluations
-            )
-            losses = []
+            data, losses = demonstrations(run.system, view, parameters, imitated), []
+            chunks = clone.clone(config, state, data, run.key("cloning"), evaluations)
             for state, metrics in bar.track(chunks, config):
                 losses.append(metrics["loss"])
                 if int(state.step) in evaluations:
-                    score = drive(state.variables)
+                    driven = drive(
+                        run, collected, view, evaluate.Weights(state.variables, parameters)
+                    )
+                    loss = evaluate.rollout_loss(run.system, driven)
+                    point = [int(state.step) / per_epoch, float(loss.mean()), float(loss.std())]
                     notes = {
-                        "history": [*notes["history"], [int(state.step) / per_epoch, *score]],
+                        "history": [*notes["history"], point],
                         "train_loss": float(np.mean(losses)),
                         "seconds": time.perf_counter() - begin,
                     }
                     run.store.save(name, int(state.step), state, notes)
                     losses = []
-    assert state is not None
     run.seconds[name] = notes["seconds"]
     weights = evaluate.Weights(state.variables, parameters)
     return Cloned(weights, notes["history"], notes["train_loss"])
+
+
+def _initial_policy(run: Run) -> FitState:
+    """Fresh weights; one key for all policies of a run: they differ in their views alone."""
+    system, key = run.system, run.key("policy initial weights")
+    frame = system.frame(jnp.zeros(len(system.state_names)), jnp.zeros_like(system.limits))
+    return clone.initial_state(run.config.bc, frame.shape, len(system.action_limit), key)

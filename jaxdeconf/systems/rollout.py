@@ -85,6 +85,7 @@ def random_trajectories(system: System, key: Array, count: int) -> Trajectories:
     return jax.vmap(one)(jax.random.split(key, count))
 
 
+@partial(jax.jit, static_argnames="system")
 def frames(system: System, trajectories: Trajectories) -> Array:
     """uint8 [..., 64, 64, 3]: the frame of every state in trajectories of any leading shape."""
     draw = system.frame
