@@ -7,7 +7,7 @@ from typing import Any
 from jaxdeconf.pipeline import results, stages
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.progress import Reporter
-from jaxdeconf.pipeline.report import write_report
+from jaxdeconf.pipeline.report import POLICIES, write_report
 from jaxdeconf.pipeline.store import Store, write_json
 
 
@@ -29,7 +29,7 @@ def run(
     vae = stages.train_disentangler(this, collected)
     found = stages.find_mask(this, collected, vae)
     policies, driven = {}, {}
-    for policy in stages.POLICIES:
+    for policy in POLICIES:
         view = stages.view_of(this, policy, vae, found)
         cloned = stages.train_policy(this, policy, collected, *view)
         with reporter.bar(f"judge {policy}", 1) as bar:

@@ -25,8 +25,6 @@ from jaxdeconf.pipeline.store import Store
 from jaxdeconf.systems import System, Trajectories, random_trajectories
 from jaxdeconf.systems.rollout import frames
 
-POLICIES = ("BcVanilla", "BcManual", "Masked", "Reconstructed")
-
 
 class Collected(NamedTuple):
     """All trajectories of a run."""
