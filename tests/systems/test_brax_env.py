@@ -55,7 +55,7 @@ def test_steps_are_the_systems_own(name):
             wanted = jnp.clip(actions[t, i], -1, 1) * system.limits
             action = wanted if inside else previous
             paid = cost(state, action)
-            state, previous = (step(state, action) if inside else state), action
+            state = step(state, action) if inside else state
             after = jax.tree.map(lambda x, t=t, i=i: x[t, i], got)
             np.testing.assert_allclose(after.pipeline_state.state, state, rtol=1e-6, atol=1e-6)
             np.testing.assert_array_equal(after.pipeline_state.previous_action, action)
@@ -63,6 +63,8 @@ def test_steps_are_the_systems_own(name):
             np.testing.assert_allclose(after.reward, -paid, rtol=1e-5, atol=1e-5)
             assert after.done == (not system.in_bounds(state))
             assert after.metrics["in_bounds"] == inside
+            # From where the environment is: this measures steps, not how errors grow.
+            state, previous = after.pipeline_state.state, action
 
 
 def test_a_whole_episode_is_a_rollout():
@@ -94,7 +96,9 @@ def test_previous_action_at_reset_is_random(name):
     assert np.abs(shown).max() <= 1
     np.testing.assert_allclose(shown.mean(axis=0), 0, atol=0.05)
     np.testing.assert_allclose(shown.std(axis=0), 1 / np.sqrt(3), atol=0.03)
-    both = np.corrcoef(np.concatenate([shown, moments.state], axis=1).T)
+    states = np.asarray(moments.state)
+    varied = states[:, states.std(axis=0) > 0]
+    both = np.corrcoef(np.concatenate([shown, varied], axis=1).T)
     assert np.abs(both[: shown.shape[1], shown.shape[1] :]).max() < 0.1
 
 
