@@ -16,7 +16,8 @@ import tyro
 
 from jaxdeconf.pipeline import findings
 from jaxdeconf.pipeline.config import Config
-from jaxdeconf.pipeline.store import StoreError, read_config
+from jaxdeconf.pipeline.interruption import Interrupted, Interruption
+from jaxdeconf.pipeline.store import StoreError, WriteError, read_config, require_empty, writing
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ def main(
       presets: the configs by name; "laptop" is the default.
       arguments: those of the command line.
     Returns:
-      The exit code: 0, 1 if training diverges, 2 for a wrong argument or run directory, 130 if
-      interrupted.
+      The exit code: 0; 1 if training diverges, the disk is full or memory too small; 2 for a wrong
+      argument or run directory; 130 or 143 if stopped by SIGINT or SIGTERM.
     """
     try:
         asked = parse(description, presets, arguments)
@@ -107,35 +108,47 @@ def _one_line(box: str) -> str:
 
 
 def _run(asked: Arguments) -> int:
-    # Imported late: --help and a mistyped flag do not wait for JAX to load.
+    directory = asked.resume or asked.out or _default_directory(asked)
+    advice, interruption = f"go on with --resume {directory}", Interruption()
+    try:
+        with interruption.listening(f"stopped at once; {advice}"):
+            _run_seeds(asked, directory, interruption)
+    except Interrupted as stop:
+        print(f"interrupted; {advice}", file=sys.stderr)
+        return stop.exit_code
+    except (ValueError, StoreError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except WriteError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except FloatingPointError as error:
+        print(f"error: {error}; the last good checkpoint is in {directory}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _run_seeds(asked: Arguments, directory: Path, interruption: Interruption) -> None:
+    # Imported late: --help and a mistyped flag do not wait for the rest to load.
     from jaxdeconf.pipeline.progress import Reporter
     from jaxdeconf.pipeline.report import write_summary
     from jaxdeconf.pipeline.run import run
 
     cache_compilations()
-    config, reporter = asked.config, Reporter()
-    directory = asked.resume or asked.out or _default_directory(asked)
-    several, done = asked.seeds > 1, []
+    config, reporter, several, done = asked.config, Reporter(), asked.seeds > 1, []
+    if asked.resume is None:
+        require_empty(directory)
     for seed in range(config.seed, config.seed + asked.seeds):
+        interruption.check()
         place = directory / f"seed-{seed}" if several else directory
         resume = asked.resume is not None and (not several or (place / "config.json").is_file())
-        try:
-            one = dataclasses.replace(config, seed=seed)
-            done.append(run(one, place, reporter, resume))
-        except (ValueError, StoreError) as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 2
-        except FloatingPointError as error:
-            print(f"error: {error}; the last good checkpoint is in {place}", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            print(f"\ninterrupted; go on with --resume {directory}", file=sys.stderr)
-            return 130
+        one = dataclasses.replace(config, seed=seed)
+        done.append(run(one, place, reporter, resume, interruption))
         print(summary(done[-1], place))
     if several:
-        write_summary(directory, done)
+        with writing(directory):
+            write_summary(directory, done)
         print(f"summary: {directory / 'report.html'}")
-    return 0
 
 
 def summary(results: dict, directory: Path) -> str:

@@ -4,13 +4,13 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import asdict
 
 import pytest
 
 from experiments.cartpole import PRESETS
+from jaxdeconf import __version__
 from jaxdeconf.pipeline import cli
-from jaxdeconf.pipeline.store import write_json
+from jaxdeconf.pipeline.store import write_config
 
 
 def parse(*arguments):
@@ -61,18 +61,20 @@ def test_a_wrong_argument_exits_with_2_and_one_line(arguments, said, capsys):
 
 def test_resuming_needs_no_flags(tmp_path):
     config = parse("--preset", "smoke", "--vae.beta", "3", "--seed", "5").config
-    write_json(tmp_path / "config.json", asdict(config))
+    write_config(tmp_path, config)
     assert parse("--resume", str(tmp_path)).config == config
 
 
 def test_a_config_that_is_none_is_named(tmp_path, capsys):
-    (tmp_path / "config.json").write_text(json.dumps({"seed": 1, "wheels": 4}))
+    (tmp_path / "config.json").write_text(
+        json.dumps({"jaxdeconf": __version__, "seed": 1, "wheels": 4})
+    )
     assert cli.main("", PRESETS, ["--resume", str(tmp_path)]) == 2
     assert "config.json: not a config of jaxdeconf" in capsys.readouterr().err
 
 
 def test_out_and_resume_exclude_each_other(tmp_path, capsys):
-    write_json(tmp_path / "config.json", asdict(PRESETS["smoke"]))
+    write_config(tmp_path, PRESETS["smoke"])
     assert cli.main("", PRESETS, ["--out", "a", "--resume", str(tmp_path)]) == 2
     assert "expected only one of --out and --resume" in capsys.readouterr().err
 
