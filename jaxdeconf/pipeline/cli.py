@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from jax.errors import JaxRuntimeError
 
+from jaxdeconf import checks
 from jaxdeconf.pipeline import findings
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.interruption import Interrupted, Interruption
@@ -30,8 +32,7 @@ class Arguments:
     resume: Path | None = None  # go on with the run in this directory
 
     def __post_init__(self):
-        if self.seeds < 1:
-            raise ValueError(f"seeds: expected a positive integer, got {self.seeds}")
+        checks.integer("seeds", self.seeds, most=2**32 - self.config.seed)
         if self.out is not None and self.resume is not None:
             raise ValueError(f"out: expected only one of --out and --resume, got {self.out}")
 
@@ -94,7 +95,14 @@ def _default(presets: Mapping[str, Config], arguments: list[str]) -> Config:
     if known.resume is None:
         return presets[known.preset]
     runs = [known.resume, *sorted(known.resume.glob("seed-*"))]
-    return read_config(next((run for run in runs if (run / "config.json").exists()), runs[0]))
+    run = next((run for run in runs if (run / "config.json").exists()), runs[0])
+    config, known_systems = read_config(run), {preset.system for preset in presets.values()}
+    if config.system not in known_systems:
+        raise StoreError(
+            f"{run / 'config.json'}: a run of {config.system}, not of "
+            f"{', '.join(sorted(known_systems))}; use python -m experiments.{config.system}"
+        )
+    return config
 
 
 def _one_line(box: str) -> str:
@@ -121,6 +129,12 @@ def _run(asked: Arguments) -> int:
         return 2
     except WriteError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 1
+    except (MemoryError, JaxRuntimeError) as error:
+        if isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        words = "not enough memory; make sizes smaller, or"
+        print(f"error: {words} with more of it {advice}", file=sys.stderr)
         return 1
     except FloatingPointError as error:
         print(f"error: {error}; the last good checkpoint is in {directory}", file=sys.stderr)

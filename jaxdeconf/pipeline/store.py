@@ -181,7 +181,7 @@ def require_empty(directory: Path) -> None:
         return
     except OSError as error:
         raise StoreError(
-            f"{directory}: cannot be used ({error.strerror}); use another --out"
+            f"{directory}: cannot be written ({error.strerror}); use another --out"
         ) from error
     if others:
         raise StoreError(
