@@ -201,4 +201,4 @@ def cache_compilations() -> None:
     # By version and machine: XLA's programs for another processor would not run on this one.
     where = home / "jaxdeconf" / f"jax-{jax.__version__}-{os.uname().nodename}"
     jax.config.update("jax_compilation_cache_dir", str(where))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -41,13 +41,15 @@ def run(
     collected = stages.collect(this)
     vae = stages.train_disentangler(this, collected)
     found = stages.find_mask(this, collected, vae)
-    policies, driven = {}, {}
+    cloned, policies, driven = {}, {}, {}
     for policy in POLICIES:
         view = stages.view_of(this, policy, vae, found)
-        cloned = stages.train_policy(this, policy, collected, *view)
+        cloned[policy] = stages.train_policy(this, policy, collected, *view)
+    # After the last one is trained: what is resumed before then need not judge the first again.
+    for policy in POLICIES:
         with reporter.bar(f"judge {policy}", 1) as bar:
             policies[policy], driven[policy] = results.judge_policy(
-                this, policy, collected, vae, found, cloned
+                this, policy, collected, vae, found, cloned[policy]
             )
             bar.update(1, f"rollout loss {float(policies[policy]['rollout_loss']['mean']):.3g}")
         interruption.check()
