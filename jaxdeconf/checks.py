@@ -40,9 +40,12 @@ def integer(name: str, value: Any, least: int = 1, most: int = _MOST) -> int:
 
 def number(name: str, value: Any, expected: str, above: float, below: float = math.inf) -> None:
     """A finite number strictly between two bounds; `expected` is what the message calls it."""
-    fits = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    # `float` overflows on a large int, and no comparison with NaN holds.
-    if not fits or not abs(value) <= 1.7e308 or not above < value < below:
+    real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    try:
+        given = float(value) if real else math.nan
+    except OverflowError:  # an integer beyond any float
+        given = math.inf
+    if not math.isfinite(given) or not above < given < below:
         raise _wrong(name, expected, value)
 
 

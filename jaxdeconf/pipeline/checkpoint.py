@@ -42,7 +42,7 @@ def write(folder: Path, state: Any, notes: dict[str, Any]) -> None:
     shutil.rmtree(partial, ignore_errors=True)  # a killed run's
     try:
         partial.mkdir(parents=True)
-        _orbax().save(partial / "arrays", state)
+        _orbax().save(str(partial / "arrays"), state)
         (partial / "notes.json").write_text(json.dumps(notes, indent=1) + "\n")
         (partial / _SUMS).write_text(_sums(partial))
         os.rename(partial, folder)
@@ -75,7 +75,7 @@ def read_state(folder: Path, template: Callable[[], Any]) -> Any:
         lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=device),
         jax.eval_shape(template),
     )
-    return _orbax().load(folder / "arrays", like)
+    return _orbax().load(str(folder / "arrays"), like)
 
 
 def fingerprint(state: Any) -> str:

@@ -22,6 +22,9 @@ from jaxdeconf.pipeline.interruption import Interrupted, Interruption
 from jaxdeconf.pipeline.store import StoreError, WriteError, read_config, require_empty, writing
 
 
+_NO_MEMORY = "RESOURCE_EXHAUSTED|Out of memory"  # how XLA says so, on one platform or another
+
+
 @dataclass(frozen=True)
 class Arguments:
     """What can be said on the command line."""
@@ -131,7 +134,7 @@ def _run(asked: Arguments) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except (MemoryError, JaxRuntimeError) as error:
-        if isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" not in str(error):
+        if not isinstance(error, MemoryError) and not re.search(_NO_MEMORY, str(error)):
             raise
         words = "not enough memory; make sizes smaller, or"
         print(f"error: {words} with more of it {advice}", file=sys.stderr)

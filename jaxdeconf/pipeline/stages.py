@@ -168,7 +168,7 @@ def train_disentangler(run: Run, collected: Collected) -> Disentangled:
         chunks = disentangle.disentangle(config, state, images, run.key("VAE training"))
         for state, _ in bar.track(chunks, config):
             seconds = time.perf_counter() - begin
-            run.checkpoint(name, state, {"seconds": seconds}, made_from, state.step == total)
+            run.checkpoint(name, state, {"seconds": seconds}, made_from, int(state.step) == total)
     run.seconds[name] = seconds
     return judge(state.variables)
 

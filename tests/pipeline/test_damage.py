@@ -349,3 +349,10 @@ def test_divergence_exits_with_1_and_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(cli, "cache_compilations", lambda: None)
     words = f"disentangle, step 24: loss is nan; the last good checkpoint is in {tmp_path / 'run'}"
     exits_with(1, words, capsys, "--preset", "smoke", "--out", tmp_path / "run")
+
+
+def test_too_little_memory_exits_with_1_and_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "cache_compilations", lambda: None)
+    huge = ("--collect.random-trajectories", 2_000_000_000)
+    arguments = ("--preset", "smoke", "--out", tmp_path / "run", *huge)
+    exits_with(1, "not enough memory; make sizes smaller", capsys, *arguments)
