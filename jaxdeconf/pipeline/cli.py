@@ -21,7 +21,6 @@ from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.interruption import Interrupted, Interruption
 from jaxdeconf.pipeline.store import StoreError, WriteError, read_config, require_empty, writing
 
-
 _NO_MEMORY = "RESOURCE_EXHAUSTED|Out of memory"  # how XLA says so, on one platform or another
 
 
