@@ -5,7 +5,6 @@ same, when the function is traced.
 """
 
 import math
-import numbers
 import operator
 from collections.abc import Sequence
 from typing import Any
@@ -40,11 +39,12 @@ def integer(name: str, value: Any, least: int = 1, most: int = _MOST) -> int:
 
 def number(name: str, value: Any, expected: str, above: float, below: float = math.inf) -> None:
     """A finite number strictly between two bounds; `expected` is what the message calls it."""
-    real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if isinstance(value, Tracer):
+        return
     try:
-        given = float(value) if real else math.nan
-    except OverflowError:  # an integer beyond any float
-        given = math.inf
+        given = math.nan if isinstance(value, str | bytes | bool) else float(value)
+    except (OverflowError, TypeError, ValueError):  # an integer beyond any float, or no number
+        given = math.nan
     if not math.isfinite(given) or not above < given < below:
         raise _wrong(name, expected, value)
 
