@@ -103,5 +103,6 @@ def _orbax():
     # Orbax takes a second to import: only runs that save pay for it.
     from orbax.checkpoint import v1 as ocp
 
-    logging.getLogger("absl").setLevel(logging.ERROR)  # it narrates every save
+    # It narrates every save, and prints the stacks of the errors that it raises.
+    logging.getLogger("absl").setLevel(logging.CRITICAL)
     return ocp

@@ -12,6 +12,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, is_dataclass
@@ -262,7 +263,8 @@ def _cause(error: Exception) -> str:
     """An error in one line; Orbax wraps the one that says what is wrong."""
     cause = error.__cause__ or error
     words = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
-    return words.splitlines()[0]
+    system = re.search(r": ([^:]*) \[os_error_code", words)  # within much that Orbax adds
+    return system[1] if system else words.splitlines()[0]
 
 
 def _differences(old: Any, new: Any, path: str = "") -> list[str]:

@@ -178,9 +178,12 @@ def test_a_file_too_large_keeps_what_was_saved(small_files, tmp_path):
 def test_a_full_disk_ends_a_run_with_one_line(small_disk, experiment, smoke):
     process = experiment(*smoke, "--out", small_disk / "run")
     assert process.returncode == 1, process.stderr
-    assert process.stderr.count("\n") == 1
-    assert process.stderr.startswith(f"error: {small_disk}/run/checkpoints/collect/0: cannot be")
-    assert process.stderr.endswith(f"make room, then go on with --resume {small_disk}/run\n")
+    run, file = small_disk / "run", small_disk / "run/checkpoints/disentangle/39"
+    assert process.stderr == (
+        f"error: {file}: cannot be written (No space left on device); "
+        f"make room, then go on with --resume {run}\n"
+    )
+    assert checkpoint.read_notes(run / "checkpoints/collect/0")
 
 
 def test_a_report_that_cannot_be_written_names_its_file(tmp_path):
