@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.fit import Variables
 from jaxdeconf.learn.views import View
@@ -28,13 +29,13 @@ class EvaluateConfig:
     every: float = 10.0  # epochs between evaluations; the paper's
 
     def __post_init__(self):
-        if self.rollouts < 1:
-            raise ValueError(f"rollouts: expected a positive integer, got {self.rollouts}")
-        if not self.every > 0:
-            raise ValueError(f"every: expected a positive number of epochs, got {self.every}")
+        checks.integer("rollouts", self.rollouts)
+        checks.positive("every", self.every)
 
     def steps(self, per_epoch: int, total: int) -> tuple[int, ...]:
         """The training steps after which a policy drives; the last one is always among them."""
+        checks.integer("per_epoch", per_epoch)
+        checks.integer("total", total)
         between = max(1.0, self.every * per_epoch)
         return (*(round(between * i) for i in range(1, math.ceil((total - 0.5) / between))), total)
 
@@ -53,7 +54,6 @@ class Weights(NamedTuple):
     view: Variables  # {} for a view without parameters
 
 
-@partial(jax.jit, static_argnames=("system", "driver"))
 def drive(
     system: System, driver: Driver, weights: Weights, initial_states: Array, key: Array
 ) -> Trajectories:
@@ -61,8 +61,23 @@ def drive(
 
     The frame before the first is blank. Frames go through uint8 before and after the view, as
     those of the demonstrations did.
-    """
 
+    Raises:
+      ValueError: if an argument has another type or shape, or a state is not finite.
+    """
+    checks.instance("system", system, System)
+    checks.instance("driver", driver, Driver)
+    checks.instance("weights", weights, Weights)
+    size = len(system.state_names)
+    checks.array("initial_states", initial_states, f"[R, {size}]", (None, size), finite=True)
+    checks.key("key", key)
+    return _drive(system, driver, weights, initial_states, key)
+
+
+@partial(jax.jit, static_argnames=("system", "driver"))
+def _drive(
+    system: System, driver: Driver, weights: Weights, initial_states: Array, key: Array
+) -> Trajectories:
     def policy(previous: Array, state: Array, previous_action: Array, _: Array):
         seen = driver.view(weights.view, system.frame(state, previous_action)[None])
         action = clone.act(driver.network, weights.policy, previous, seen)[0]
@@ -81,12 +96,15 @@ def rollout_loss(system: System, trajectories: Trajectories) -> Array:
     A trajectory that went out of bounds stands still from there on, so it is charged the cost of
     that moment for the rest of its time.
     """
+    checks.instance("system", system, System)
+    _check_trajectories(trajectories)
     cost = jax.vmap(jax.vmap(system.stage_cost))
     return cost(trajectories.states, trajectories.actions).mean(axis=1)
 
 
 def survived(trajectories: Trajectories) -> Array:
     """[R] bool: whether each trajectory stayed in bounds to its end."""
+    _check_trajectories(trajectories)
     return trajectories.valid[:, -1]
 
 
@@ -102,6 +120,8 @@ def copycat(
     Returns:
       [] mean absolute change over the action's limit, in [0, 2]: 0 is a policy that does not look.
     """
+    _check_trajectories(trajectories, steps=2)
+    checks.key("key", key)
     redrawn_actions = jax.vmap(jax.vmap(partial(sample_action, system)))(
         jax.random.split(key, trajectories.valid.shape)
     )
@@ -115,3 +135,10 @@ def copycat(
         return jnp.abs(actions(pair[0]) - actions(pair[1])).mean()
 
     return jax.lax.map(change, (trajectories, redrawn)).mean()
+
+
+def _check_trajectories(trajectories: Trajectories, steps: int = 1) -> None:
+    checks.instance("trajectories", trajectories, Trajectories)
+    valid = checks.array("valid", trajectories.valid, "[R, T]", (None, None), of="bool")
+    if valid.shape[1] < steps:
+        raise ValueError(f"trajectories: expected at least {steps} steps, got {valid.shape[1]}")

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.learn.linear_start import principal_components
 
 # Enough for all that CartPole's frames hold; every one is scaled alike, so that a faint trace of
@@ -27,7 +28,13 @@ def spearman(latents: Array, signal: Array) -> Array:
     """[O, A] Spearman rank correlations of latents [n, O] with signals [n, A], both continuous.
 
     A constant latent has rank correlation 0 with everything.
+
+    Raises:
+      ValueError: if they differ in number or are not finite.
     """
+    latents = checks.array("latents", latents, "[n, O]", (None, None), finite=True)
+    form = f"[{len(latents)}, A]"
+    signal = checks.array("signal", signal, form, (len(latents), None), finite=True)
 
     def ranks(values: Array) -> Array:
         order = jnp.argsort(jnp.argsort(values, axis=0), axis=0) - (len(values) - 1) / 2
@@ -82,13 +89,15 @@ def r_squared(
     Returns:
       [] R², at most 1, the mean over A; about 0, or a little below, where nothing leaks.
     Raises:
-      ValueError: if frames and signals differ in number.
+      ValueError: if frames and signals differ in number, frames in size, or there are too few.
     """
+    checks.key("key", key)
+    shape = jnp.shape(train)[1:]
     for name, images, signal in (("train", train, train_signal), ("test", test, test_signal)):
-        if signal.ndim != 2 or len(images) != len(signal):
-            raise ValueError(
-                f"{name}_signal: expected [{len(images)}, A], one row a frame, got {signal.shape}"
-            )
+        count = checks.integer(f"frames in {name}", len(images), least=2)
+        checks.array(name, images, f"[n, {str(shape)[1:-1]}]", (None, *shape))
+        form = f"[{count}, A], one row a frame"
+        checks.array(f"{name}_signal", signal, form, (count, None), finite=True)
     flat = [jnp.asarray(x, jnp.float32).reshape(len(x), -1) for x in (train, test)]
     components = min(_COMPONENTS, len(train) - 1, flat[0].shape[1])
     predicted = _predict(flat[0], train_signal, flat[1], key, components)

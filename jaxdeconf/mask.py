@@ -14,6 +14,7 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from jaxdeconf import checks
 from jaxdeconf.independence import hoeffding_d, p_value
 from jaxdeconf.independence import threshold as null_threshold
 
@@ -49,15 +50,19 @@ def find_mask(
         that Algorithm 1 makes, m = S (O + H A): any of them can leave a nuisance unmasked.
     Returns:
       The mask and the statistics it follows from.
+    Raises:
+      ValueError: if shapes do not fit, values are not finite, or there are too few trajectories.
     """
-    shapes = jnp.shape(initial_states), jnp.shape(observations), jnp.shape(actions)
-    names = ("initial_states", "[N, S]"), ("observations", "[N, O]"), ("actions", "[N, H, A]")
-    for (name, form), shape, ndim in zip(names, shapes, (2, 2, 3), strict=True):
-        if len(shape) != ndim:
-            raise ValueError(f"{name}: expected shape {form}, got {shape}")
-        if shape[0] != shapes[0][0]:
-            raise ValueError(f"{name}: expected {shapes[0][0]} trajectories, got {shape[0]}")
+    named = {"initial_states": initial_states, "observations": observations, "actions": actions}
+    forms = "[N, S]", "[N, O]", "[N, H, A]"
+    shapes = []
+    for (name, value), form in zip(named.items(), forms, strict=True):
+        given = checks.array(name, value, form, (None,) * (form.count(",") + 1), finite=True)
+        shapes.append(given.shape)
+        checks.same_length(name, len(given), shapes[0][0], "trajectories")
     (n, states), (_, latents), (_, horizon, controls) = shapes
+    checks.integer("trajectories in initial_states", n, least=5)
+    checks.not_negative("threshold", threshold)
     if alpha is not None:
         tests = states * (latents + horizon * controls)
         threshold = max(threshold, null_threshold(n, tests, alpha))

@@ -60,5 +60,7 @@ def test_spearman_is_pearson_of_ranks():
 
 def test_frames_and_signals_must_match():
     images, signal = scene(jax.random.key(0))
-    with pytest.raises(ValueError, match=r"test_signal: expected \[1000, A\].*\(500, 1\)"):
+    with pytest.raises(
+        ValueError, match=r"test_signal: expected numbers of shape \[1000, A\].*\(500, 1\)"
+    ):
         r_squared(images, signal, images, signal[:N], jax.random.key(0))

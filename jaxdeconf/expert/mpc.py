@@ -3,7 +3,6 @@
 Shapes: N trajectories, T time, K plan, S state, A action. The paper's t=1 is index 0.
 """
 
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -11,11 +10,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from jaxdeconf import checks
 from jaxdeconf.expert import ilqr
 from jaxdeconf.systems import System, Trajectories
 from jaxdeconf.systems.rollout import Policy, rollout_with_memory
@@ -34,9 +32,8 @@ class ExpertConfig:
 
     def __post_init__(self) -> None:
         for name in ("horizon", "initial_iterations", "step_iterations"):
-            _positive_integer(name, getattr(self, name))
-        if not self.tolerance > 0:
-            raise ValueError(f"tolerance: expected a positive number, got {self.tolerance!r}")
+            checks.integer(name, getattr(self, name))
+        checks.positive("tolerance", self.tolerance)
 
 
 class Plans(NamedTuple):
@@ -72,8 +69,10 @@ def plan(
     Raises:
       ValueError: if `initial_states` has another shape or is not finite, or `horizon` < 1.
     """
+    config = config or ExpertConfig()
+    checks.instance("config", config, ExpertConfig)
     states = _states(system, initial_states)
-    return _plan(system, states, _positive_integer("horizon", horizon), config or ExpertConfig())
+    return _plan(system, states, checks.integer("horizon", horizon), config)
 
 
 @partial(jax.jit, static_argnums=(0, 2, 3))
@@ -95,6 +94,8 @@ def receding_horizon(
       policy: improves the remembered plan at the present state, takes its first action, and
         remembers the rest with the last action twice.
     """
+    checks.instance("system", system, System)
+    checks.instance("config", config, ExpertConfig)
 
     def initial_memory(state: Array) -> Memory:
         solution = _solve_cold(system, state, config.horizon, config.initial_iterations)
@@ -126,7 +127,10 @@ def expert_trajectories(
     Raises:
       ValueError: if `initial_states` has another shape or is not finite.
     """
-    return _trajectories(system, _states(system, initial_states), key, config or ExpertConfig())
+    config = config or ExpertConfig()
+    checks.instance("config", config, ExpertConfig)
+    checks.key("key", key)
+    return _trajectories(system, _states(system, initial_states), key, config)
 
 
 @partial(jax.jit, static_argnums=(0, 3))
@@ -160,27 +164,9 @@ def _converged(solution: ilqr.Solution, config: ExpertConfig) -> Array:
 
 def _states(system: System, initial_states: ArrayLike) -> Array:
     """[N, S] as floats, or ValueError."""
+    checks.instance("system", system, System)
     size = len(system.state_names)
-    if isinstance(initial_states, Tracer) and initial_states.shape[1:] == (size,):
-        return initial_states  # inside a transformation there are no values to look at
-    try:
-        states = np.asarray(initial_states)
-    except ValueError:  # ragged
-        states = np.asarray(None)
-    if states.dtype.kind not in "fiu" or states.ndim != 2 or states.shape[1] != size:
-        got = f"{states.dtype} of shape {states.shape}"
-        raise ValueError(f"initial_states: expected numbers of shape [N, {size}], got {got}")
-    if not np.isfinite(states).all():
-        row = int(np.argmin(np.isfinite(states).all(axis=1)))
-        raise ValueError(f"initial_states: expected finite numbers, got {states[row]} in row {row}")
+    states = checks.array(
+        "initial_states", initial_states, f"[N, {size}]", (None, size), finite=True
+    )
     return jnp.asarray(states, dtype=float)
-
-
-def _positive_integer(name: str, value: int) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = 0
-    if number < 1:
-        raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
-    return number

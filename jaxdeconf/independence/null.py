@@ -16,6 +16,8 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from jaxdeconf import checks
+
 _TEXT = resources.files("jaxdeconf.independence").joinpath("null_survival.csv").read_text()
 _TABLE = np.loadtxt(_TEXT.splitlines(), delimiter=",", skiprows=1)
 _W, _LOG_SURVIVAL = _TABLE[:, 0], np.log(_TABLE[:, 1])
@@ -36,8 +38,10 @@ def p_value(d: ArrayLike, n: ArrayLike) -> Array:
     Returns:
       `d`'s shape, in [0, 1]. Continuous margins assumed; within 1e-5 of the asymptotic law.
     """
-    if not isinstance(n, Tracer) and np.min(np.asarray(n)) < 5:
+    if not isinstance(n, Tracer) and not np.all(np.asarray(n) >= 5):
         raise ValueError(f"n: expected at least 5 samples, got {n}")
+    if not jnp.issubdtype(jnp.result_type(d), np.floating):
+        raise ValueError(f"d: expected floats, got {jnp.result_type(d)}")
     w = 1.2 * (jnp.asarray(n) - 1) * jnp.asarray(d)
     body = jnp.interp(w, jnp.asarray(_W), jnp.asarray(_LOG_SURVIVAL), left=0.0)
     tail = _log_tail(jnp.maximum(w, _W[-1]))
@@ -57,12 +61,9 @@ def threshold(n: int, tests: int = 1, alpha: float = 0.05) -> float:
     Returns:
       The threshold on the scale of `hoeffding_d`; `p_value(threshold, n) == alpha / tests`.
     """
-    if n < 5:
-        raise ValueError(f"n: expected at least 5 samples, got {n}")
-    if tests < 1:
-        raise ValueError(f"tests: expected at least 1, got {tests}")
-    if not 0.0 < alpha < 1.0:
-        raise ValueError(f"alpha: expected a probability in (0, 1), got {alpha}")
+    checks.integer("n", n, least=5)
+    checks.integer("tests", tests)
+    checks.number("alpha", alpha, "a probability in (0, 1)", 0.0, 1.0)
     target = math.log(alpha / tests)
     if target >= _LOG_SURVIVAL[-1]:
         w = float(np.interp(-target, -_LOG_SURVIVAL, _W))

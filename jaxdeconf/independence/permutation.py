@@ -14,6 +14,7 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from jaxdeconf import checks
 from jaxdeconf.independence.hoeffding import hoeffding_d
 from jaxdeconf.independence.ranks import columns, rank_on_host
 
@@ -41,9 +42,12 @@ def permutation_p_value(
     Returns:
       [], [P], [S] or [S, P], in [1 / (1 + permutations), 1].
     """
-    if permutations < 1:
-        raise ValueError(f"permutations: expected at least 1, got {permutations}")
+    checks.integer("permutations", permutations)
+    checks.key("key", key)
+    if not callable(statistic):
+        raise ValueError(f"statistic: expected a function of x and y, got {statistic!r}")
     xs, ys = _ordinal("x", x), _ordinal("y", y)
+    checks.same_length("y", len(ys), len(xs), "samples, as x has")
     values = _permuted(xs, ys, key, permutations, statistic)
     # Equal values are frequent with discrete margins, and must not differ by their rounding.
     level = values[0] - 1e-5 * jnp.abs(values[0])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.learn.fit import FitConfig, FitState, Loss, Variables, fit, start
 from jaxdeconf.nets import resnet
 from jaxdeconf.vision import raster
@@ -32,12 +33,11 @@ class CloneConfig(FitConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.trajectory_steps is not None and self.trajectory_steps < 1:
-            raise ValueError(
-                f"trajectory_steps: expected a positive integer, got {self.trajectory_steps}"
-            )
-        if self.huber is not None and not self.huber > 0:
-            raise ValueError(f"huber: expected a positive number, got {self.huber}")
+        if self.trajectory_steps is not None:
+            checks.integer("trajectory_steps", self.trajectory_steps)
+        if self.huber is not None:
+            checks.positive("huber", self.huber)
+        checks.instance("network", self.network, resnet.ResNetConfig)
 
 
 class Demonstrations(NamedTuple):
@@ -50,6 +50,9 @@ class Demonstrations(NamedTuple):
 
 def stack(previous: Array, current: Array) -> Array:
     """[B, 64, 64, 6] float in [0, 1], the network's input, of two uint8 frames [B, 64, 64, 3]."""
+    form = "[B, H, W, 3]"
+    current = checks.array("current", current, form, (None, None, None, 3), of="uint8")
+    previous = checks.array("previous", previous, form, current.shape, of="uint8")
     return raster.dequantize(jnp.concatenate([previous, current], axis=-1))
 
 
@@ -60,12 +63,16 @@ def blank(frames: Array) -> Array:
 
 def initial_state(config: CloneConfig, frame_shape: tuple[int, ...], actions: int, key: Array):
     """Fresh weights of a policy for frames of [H, W, C] and A = actions."""
+    if not isinstance(frame_shape, tuple) or len(frame_shape) != 3:
+        raise ValueError(f"frame_shape: expected (height, width, channels), got {frame_shape!r}")
     height, width, channels = frame_shape
     return start(resnet.init(config.network, key, (height, width, 2 * channels), actions))
 
 
 def action_error(config: CloneConfig, predicted: Array, actions: Array) -> Array:
     """[] mean squared, or Huber, error of actions [B, A] over their limit."""
+    predicted = checks.array("predicted", predicted, "[B, A]", (None, None))
+    checks.array("actions", actions, "[B, A]", predicted.shape)
     error = jnp.abs(predicted - actions)
     if config.huber is None:
         return jnp.mean(error**2)
@@ -93,7 +100,16 @@ def objective(config: CloneConfig) -> Loss:
 def clone(
     config: CloneConfig, state: FitState, data: Demonstrations, key: Array, stops: Sequence[int]
 ) -> Iterator[tuple[FitState, dict[str, Array]]]:
-    """Trains a policy on demonstrations; yields as `fit` does, and at every step in `stops`."""
+    """Trains a policy on demonstrations; yields as `fit` does, and at every step in `stops`.
+
+    Raises:
+      ValueError: if the demonstrations are not what Demonstrations says, or too few for a batch.
+    """
+    checks.instance("config", config, CloneConfig)
+    checks.instance("data", data, Demonstrations)
+    frames = checks.array("frames", data.frames, "[n, H, W, 3]", (None, None, None, 3), of="uint8")
+    checks.array("first", data.first, f"[{len(frames)}]", (len(frames),), of="bool")
+    checks.array("actions", data.actions, f"[{len(frames)}, A]", (len(frames), None), finite=True)
     return fit(objective(config), state, data, len(data.actions), key, config, stops)
 
 

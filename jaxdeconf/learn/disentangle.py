@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.learn.fit import FitConfig, FitState, Loss, Variables, fit, start
 from jaxdeconf.learn.linear_start import linear_start
 from jaxdeconf.nets import vae
@@ -48,8 +49,10 @@ class DisentangleConfig(FitConfig):
         super().__post_init__()
         if self.objective not in ("H", "B"):
             raise ValueError(f"objective: expected 'H' or 'B', got {self.objective!r}")
-        if not self.beta >= 0:
-            raise ValueError(f"beta: expected a number >= 0, got {self.beta}")
+        checks.not_negative("beta", self.beta)
+        checks.not_negative("capacity", self.capacity)
+        checks.integer("capacity_steps", self.capacity_steps)
+        checks.instance("network", self.network, vae.VAEConfig)
 
 
 def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitState:
@@ -60,6 +63,8 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
       images: uint8 [n, 64, 64, 3].
       key: initial weights, and the frames that fit the linear start.
     """
+    _check_images(config.network, images)
+    checks.key("key", key)
     weights_key, choice_key, start_key = jax.random.split(key, 3)
     variables = vae.init(config.network, weights_key)
     if config.network.linear_path:
@@ -77,6 +82,8 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
 
 def kl_divergence(mean: Array, log_variance: Array) -> Array:
     """[B, O] nats, of each latent's posterior from N(0, 1)."""
+    mean = checks.array("mean", mean, "[B, O]", (None, None))
+    log_variance = checks.array("log_variance", log_variance, "[B, O]", mean.shape)
     return 0.5 * (mean**2 + jnp.exp(log_variance) - log_variance - 1.0)
 
 
@@ -108,12 +115,15 @@ def disentangle(
     config: DisentangleConfig, state: FitState, images: Array, key: Array
 ) -> Iterator[tuple[FitState, dict[str, Array]]]:
     """Trains the β-VAE on images, uint8 [n, 64, 64, 3]; yields as `fit` does."""
+    checks.instance("config", config, DisentangleConfig)
+    _check_images(config.network, images)
     return fit(objective(config), state, images, len(images), key, config)
 
 
 @partial(jax.jit, static_argnums=0)
 def encode(config: vae.VAEConfig, variables: Variables, images: Array) -> tuple[Array, Array]:
     """Posterior mean and log-variance, [n, O] each, of uint8 images [n, 64, 64, 3]."""
+    _check_images(config, images)
 
     def one(image: Array) -> tuple[Array, Array]:
         mean, log_variance, _ = vae.encode(
@@ -122,3 +132,8 @@ def encode(config: vae.VAEConfig, variables: Variables, images: Array) -> tuple[
         return mean[0], log_variance[0]
 
     return jax.lax.map(one, images, batch_size=_ENCODE_BATCH)
+
+
+def _check_images(config: vae.VAEConfig, images: Array) -> None:
+    side = config.image_size
+    checks.array("images", images, f"[n, {side}, {side}, 3]", (None, side, side, 3), of="uint8")

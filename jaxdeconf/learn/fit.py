@@ -15,10 +15,15 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
+from jaxdeconf import checks
+
 Variables = dict[str, Any]  # {"params": trained, "batch_stats": carried along}
 
 # (variables, data, indices [B], key, step []) -> (loss [], (new batch_stats, metrics))
 Loss = Callable[[Variables, Any, Array, Array, Array], tuple[Array, tuple[Any, dict[str, Array]]]]
+
+
+_MOST_STEPS = 2**31 - 1  # the step is int32
 
 
 @dataclass(frozen=True)
@@ -32,13 +37,14 @@ class FitConfig:
     chunk: int = 64  # steps a jitted call; ours: seconds on a CPU, the bar's and a stop's grain
 
     def __post_init__(self):
-        for name in ("epochs", "batch_size", "learning_rate", "decay", "chunk"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
+        for name in ("epochs", "learning_rate", "decay"):
+            checks.positive(name, getattr(self, name))
+        for name in ("batch_size", "chunk"):
+            checks.integer(name, getattr(self, name))
 
     def steps_per_epoch(self, samples: int) -> int:
         """Whole batches in one pass; the samples left over differ from pass to pass."""
-        if samples < self.batch_size:
+        if checks.integer("samples", samples) < self.batch_size:
             raise ValueError(
                 f"batch_size: expected at most {samples} samples, got {self.batch_size}"
             )
@@ -46,7 +52,12 @@ class FitConfig:
 
     def steps(self, samples: int) -> int:
         """Steps of the whole training on so many samples."""
-        return max(1, round(self.epochs * self.steps_per_epoch(samples)))
+        steps = max(1, round(self.epochs * self.steps_per_epoch(samples)))
+        if steps > _MOST_STEPS:
+            raise ValueError(
+                f"epochs: expected at most {_MOST_STEPS} steps in all, got {self.epochs} epochs"
+            )
+        return steps
 
 
 class FitState(NamedTuple):
@@ -58,7 +69,10 @@ class FitState(NamedTuple):
 
 
 def start(variables: Variables) -> FitState:
-    """The state before the first step."""
+    """The state before the first step, from {"params": ..., "batch_stats": ...}."""
+    if not isinstance(variables, dict) or set(variables) != {"params", "batch_stats"}:
+        got = sorted(variables) if isinstance(variables, dict) else type(variables).__name__
+        raise ValueError(f"variables: expected a dict of params and batch_stats, got {got}")
     return FitState(variables, optax.scale_by_adam().init(variables["params"]), jnp.int32(0))
 
 
@@ -137,7 +151,12 @@ def fit(
       stops: steps, ascending, at which a chunk also ends.
     Yields:
       The state, and the chunk's mean of every metric.
+    Raises:
+      ValueError: if an argument is not what is said here; when the first chunk is asked for.
     """
+    checks.instance("state", state, FitState)
+    checks.key("key", key)
+    checks.instance("config", config, FitConfig)
     per_epoch, last = config.steps_per_epoch(samples), config.steps(samples)
     step = int(state.step)
     while step < last:

@@ -17,6 +17,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
+
 
 class LinearStart(NamedTuple):
     """Unit-variance, uncorrelated components z = (x - mean) @ encoder, x ≈ mean + z @ decoder."""
@@ -74,7 +76,12 @@ def linear_start(images: Array, count: int, key: Array) -> LinearStart:
       images: [n, P] float; a few thousand are enough.
       count: O.
       key: random starts of both iterations.
+    Raises:
+      ValueError: if there are fewer images than components.
     """
+    images = checks.array("images", images, "[n, P]", (None, None), of="floats")
+    checks.integer("count", count, most=min(images.shape))
+    checks.key("key", key)
     subspace_key, rotation_key = jax.random.split(key)
     mean = images.mean(axis=0)
     centred = images - mean

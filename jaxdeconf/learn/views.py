@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.learn.fit import Variables
 from jaxdeconf.nets import vae
 from jaxdeconf.systems.system import Nuisance
@@ -28,6 +29,8 @@ def identity(_: Variables, images: Array) -> Array:
 @cache
 def covered(nuisance: Nuisance) -> View:
     """BcManual: a white cover over the nuisance, by a human who knows where it is."""
+    if not callable(getattr(nuisance, "cover", None)):
+        raise ValueError(f"nuisance: expected one with a method `cover`, got {nuisance!r}")
 
     def view(_: Variables, images: Array) -> Array:
         return raster.quantize(jax.vmap(nuisance.cover)(raster.dequantize(images)))
@@ -43,6 +46,7 @@ def reconstructed(config: vae.VAEConfig) -> View:
     latents that the mask leaves, Reconstructed all active ones. Every other latent is set to its
     prior mean.
     """
+    checks.instance("config", config, vae.VAEConfig)
 
     def view(parameters: Variables, images: Array) -> Array:
         variables = parameters["variables"]

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.nets.conv import conv_general_dilated
 from jaxdeconf.nets.initial import draw
 from jaxdeconf.nets.pool import max_pool
@@ -35,15 +36,10 @@ class ResNetConfig:
     dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
 
     def __post_init__(self):
-        if self.width < 1:
-            raise ValueError(f"width: expected a positive integer, got {self.width}")
-        for name, choices in (
-            ("stem", ("cifar", "imagenet")),
-            ("norm", ("batch", "none")),
-            ("dtype", ("float32", "bfloat16")),
-        ):
-            if getattr(self, name) not in choices:
-                raise ValueError(f"{name}: expected one of {choices}, got {getattr(self, name)!r}")
+        checks.integer("width", self.width)
+        checks.one_of("stem", self.stem, ("cifar", "imagenet"))
+        checks.one_of("norm", self.norm, ("batch", "none"))
+        checks.one_of("dtype", self.dtype, ("float32", "bfloat16"))
 
 
 def init(
@@ -59,8 +55,13 @@ def init(
     Returns:
       {"params": ..., "batch_stats": ...}; `batch_stats` is empty without batch normalisation.
     """
-    if len(input_shape) != 3:
-        raise ValueError(f"input_shape: expected (height, width, channels), got {input_shape}")
+    checks.instance("config", config, ResNetConfig)
+    checks.key("key", key)
+    checks.integer("outputs", outputs)
+    if not isinstance(input_shape, tuple) or len(input_shape) != 3:
+        raise ValueError(f"input_shape: expected (height, width, channels), got {input_shape!r}")
+    for size in input_shape:
+        checks.integer("input_shape", size)
     shapes = jax.eval_shape(
         lambda: _ResNet(config, outputs).init(key, jnp.zeros((1, *input_shape)), train=False)
     )
@@ -82,8 +83,9 @@ def apply(
     Returns:
       [B, A] float32 outputs, and the `batch_stats` to carry on with (unchanged if not `train`).
     """
-    if images.ndim != 4:
-        raise ValueError(f"images: expected [B, H, W, C], got shape {images.shape}")
+    channels = variables["params"]["stem"]["kernel"].shape[2]
+    form = f"[B, H, W, {channels}]"
+    checks.array("images", images, form, (None, None, None, channels), of="floats")
     outputs = variables["params"]["head"]["bias"].shape[0]
     out, updates = _ResNet(config, outputs).apply(
         variables, images, train=train, mutable=["batch_stats"]

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.nets.conv import conv_general_dilated
 from jaxdeconf.nets.initial import draw
 
@@ -40,18 +41,19 @@ class VAEConfig:
     dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
 
     def __post_init__(self):
-        if not self.channels or min(self.channels) < 1:
-            raise ValueError(f"channels: expected positive integers, got {self.channels}")
-        if self.latents < 1:
-            raise ValueError(f"latents: expected a positive integer, got {self.latents}")
-        if self.image_size < 1 or self.image_size % 2 ** len(self.channels):
+        if not isinstance(self.channels, tuple) or not self.channels:
+            raise ValueError(f"channels: expected positive integers, got {self.channels!r}")
+        for channels in self.channels:
+            checks.integer("channels", channels)
+        checks.integer("latents", self.latents)
+        checks.integer("image_size", self.image_size)
+        if self.image_size % 2 ** len(self.channels):
             raise ValueError(
                 f"image_size: expected a multiple of {2 ** len(self.channels)} "
                 f"(one halving a channel entry), got {self.image_size}"
             )
-        for name, choices in (("norm", ("batch", "none")), ("dtype", ("float32", "bfloat16"))):
-            if getattr(self, name) not in choices:
-                raise ValueError(f"{name}: expected one of {choices}, got {getattr(self, name)!r}")
+        checks.one_of("norm", self.norm, ("batch", "none"))
+        checks.one_of("dtype", self.dtype, ("float32", "bfloat16"))
 
     @property
     def pixels(self) -> int:
@@ -68,6 +70,8 @@ def init(config: VAEConfig, key: Array) -> Variables:
       "pixel_mean": [P]}, all zero, in the order of an image's row-major ravel; the convolutional
       branches then start at zero too, so setting it sets the whole network.
     """
+    checks.instance("config", config, VAEConfig)
+    checks.key("key", key)
     encoder_key, decoder_key = jax.random.split(key)
     images = jnp.zeros((1, config.image_size, config.image_size, 3))
     latents = jnp.zeros((1, config.latents))
@@ -107,9 +111,8 @@ def encode(
     Returns:
       mean [B, O], log_variance [B, O], and the whole `batch_stats` with the encoder's part updated.
     """
-    expected = (config.image_size, config.image_size, 3)
-    if images.ndim != 4 or images.shape[1:] != expected:
-        raise ValueError(f"images: expected [B, {expected}], got shape {images.shape}")
+    side = config.image_size
+    checks.array("images", images, f"[B, {side}, {side}, 3]", (None, side, side, 3), of="floats")
     (mean, log_variance), batch_stats = _run(_Encoder(config), "encoder", variables, images, train)
     if config.linear_path:
         linear = variables["params"]["linear"]
@@ -130,8 +133,8 @@ def decode(
       [B, S, S, 3] images, and the whole `batch_stats` with the decoder's part updated. The range is
       (0, 1) from the paper's tanh; with the linear path the output is linear, hence unbounded.
     """
-    if latents.ndim != 2 or latents.shape[1] != config.latents:
-        raise ValueError(f"latents: expected [B, {config.latents}], got shape {latents.shape}")
+    count = config.latents
+    checks.array("latents", latents, f"[B, {count}]", (None, count), of="floats")
     images, batch_stats = _run(_Decoder(config), "decoder", variables, latents, train)
     if config.linear_path:
         linear = variables["params"]["linear"]

@@ -13,10 +13,15 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from jax.errors import JaxRuntimeError
 
+from jaxdeconf import checks
 from jaxdeconf.pipeline import findings
 from jaxdeconf.pipeline.config import Config
-from jaxdeconf.pipeline.store import StoreError, read_config
+from jaxdeconf.pipeline.interruption import Interrupted, Interruption
+from jaxdeconf.pipeline.store import StoreError, WriteError, read_config, require_empty, writing
+
+_NO_MEMORY = "RESOURCE_EXHAUSTED|Out of memory"  # how XLA says so, on one platform or another
 
 
 @dataclass(frozen=True)
@@ -29,8 +34,7 @@ class Arguments:
     resume: Path | None = None  # go on with the run in this directory
 
     def __post_init__(self):
-        if self.seeds < 1:
-            raise ValueError(f"seeds: expected a positive integer, got {self.seeds}")
+        checks.integer("seeds", self.seeds, most=2**32 - self.config.seed)
         if self.out is not None and self.resume is not None:
             raise ValueError(f"out: expected only one of --out and --resume, got {self.out}")
 
@@ -45,8 +49,8 @@ def main(
       presets: the configs by name; "laptop" is the default.
       arguments: those of the command line.
     Returns:
-      The exit code: 0, 1 if training diverges, 2 for a wrong argument or run directory, 130 if
-      interrupted.
+      The exit code: 0; 1 if training diverges, the disk is full or memory too small; 2 for a wrong
+      argument or run directory; 130 or 143 if stopped by SIGINT or SIGTERM.
     """
     try:
         asked = parse(description, presets, arguments)
@@ -93,7 +97,14 @@ def _default(presets: Mapping[str, Config], arguments: list[str]) -> Config:
     if known.resume is None:
         return presets[known.preset]
     runs = [known.resume, *sorted(known.resume.glob("seed-*"))]
-    return read_config(next((run for run in runs if (run / "config.json").exists()), runs[0]))
+    run = next((run for run in runs if (run / "config.json").exists()), runs[0])
+    config, known_systems = read_config(run), {preset.system for preset in presets.values()}
+    if config.system not in known_systems:
+        raise StoreError(
+            f"{run / 'config.json'}: a run of {config.system}, not of "
+            f"{', '.join(sorted(known_systems))}; use python -m experiments.{config.system}"
+        )
+    return config
 
 
 def _one_line(box: str) -> str:
@@ -107,35 +118,53 @@ def _one_line(box: str) -> str:
 
 
 def _run(asked: Arguments) -> int:
-    # Imported late: --help and a mistyped flag do not wait for JAX to load.
+    directory = asked.resume or asked.out or _default_directory(asked)
+    advice, interruption = f"go on with --resume {directory}", Interruption()
+    try:
+        with interruption.listening(f"stopped at once; {advice}"):
+            _run_seeds(asked, directory, interruption)
+    except Interrupted as stop:
+        print(f"interrupted; {advice}", file=sys.stderr)
+        return stop.exit_code
+    except (ValueError, StoreError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except WriteError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except (MemoryError, JaxRuntimeError) as error:
+        if not isinstance(error, MemoryError) and not re.search(_NO_MEMORY, str(error)):
+            raise
+        words = "not enough memory; make sizes smaller, or"
+        print(f"error: {words} with more of it {advice}", file=sys.stderr)
+        return 1
+    except FloatingPointError as error:
+        print(f"error: {error}; the last good checkpoint is in {directory}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _run_seeds(asked: Arguments, directory: Path, interruption: Interruption) -> None:
+    # Imported late: --help and a mistyped flag do not wait for the rest to load.
     from jaxdeconf.pipeline.progress import Reporter
     from jaxdeconf.pipeline.report import write_summary
     from jaxdeconf.pipeline.run import run
 
     cache_compilations()
-    config, reporter = asked.config, Reporter()
-    directory = asked.resume or asked.out or _default_directory(asked)
-    several, done = asked.seeds > 1, []
+    config, reporter, several, done = asked.config, Reporter(), asked.seeds > 1, []
+    if asked.resume is None:
+        require_empty(directory)
     for seed in range(config.seed, config.seed + asked.seeds):
+        interruption.check()
         place = directory / f"seed-{seed}" if several else directory
         resume = asked.resume is not None and (not several or (place / "config.json").is_file())
-        try:
-            one = dataclasses.replace(config, seed=seed)
-            done.append(run(one, place, reporter, resume))
-        except (ValueError, StoreError) as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 2
-        except FloatingPointError as error:
-            print(f"error: {error}; the last good checkpoint is in {place}", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            print(f"\ninterrupted; go on with --resume {directory}", file=sys.stderr)
-            return 130
+        one = dataclasses.replace(config, seed=seed)
+        done.append(run(one, place, reporter, resume, interruption))
         print(summary(done[-1], place))
     if several:
-        write_summary(directory, done)
+        with writing(directory):
+            write_summary(directory, done)
         print(f"summary: {directory / 'report.html'}")
-    return 0
 
 
 def summary(results: dict, directory: Path) -> str:
@@ -174,4 +203,4 @@ def cache_compilations() -> None:
     # By version and machine: XLA's programs for another processor would not run on this one.
     where = home / "jaxdeconf" / f"jax-{jax.__version__}-{os.uname().nodename}"
     jax.config.update("jax_compilation_cache_dir", str(where))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

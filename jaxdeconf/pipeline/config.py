@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from jaxdeconf import checks, systems
 from jaxdeconf.evaluate import EvaluateConfig
 from jaxdeconf.expert import ExpertConfig
 from jaxdeconf.learn.clone import CloneConfig
@@ -18,9 +19,10 @@ class CollectConfig:
     held_out_trajectories: int = 500  # ours: random-policy ones that judge latents and leakage
 
     def __post_init__(self):
-        for name in ("random_trajectories", "expert_trajectories", "held_out_trajectories"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected a positive integer, got {getattr(self, name)}")
+        for name in ("random_trajectories", "held_out_trajectories"):
+            checks.integer(name, getattr(self, name))
+        # Hoeffding's D is a mean over quintuples.
+        checks.integer("expert_trajectories", self.expert_trajectories, least=5)
 
 
 @dataclass(frozen=True)
@@ -34,14 +36,10 @@ class MaskConfig:
     alpha: float | None = None
 
     def __post_init__(self):
-        if self.reaction_horizon < 1:
-            raise ValueError(
-                f"reaction_horizon: expected a positive integer, got {self.reaction_horizon}"
-            )
-        if not self.threshold >= 0:
-            raise ValueError(f"threshold: expected a number >= 0, got {self.threshold}")
-        if self.alpha is not None and not 0 < self.alpha < 1:
-            raise ValueError(f"alpha: expected a number in (0, 1), got {self.alpha}")
+        checks.integer("reaction_horizon", self.reaction_horizon)
+        checks.not_negative("threshold", self.threshold)
+        if self.alpha is not None:
+            checks.number("alpha", self.alpha, "a number in (0, 1)", 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -59,5 +57,10 @@ class Config:
     eval: EvaluateConfig = field(default_factory=EvaluateConfig)
 
     def __post_init__(self):
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"seed: expected an integer in [0, 2^32), got {self.seed}")
+        checks.one_of("system", self.system, systems.names())
+        checks.integer("seed", self.seed, least=0, most=2**32 - 1)
+        steps = systems.get(self.system).steps
+        checks.integer("reaction_horizon", self.mask.reaction_horizon, most=steps)
+        # Here rather than when cloning begins, minutes later.
+        imitated = min(self.bc.trajectory_steps or steps, steps)
+        self.bc.steps(self.collect.expert_trajectories * imitated)

@@ -27,6 +27,7 @@ class Bar:
 
     def __init__(self, console: Console, stage: str, total: int, done: int):
         """Use `Reporter.bar`."""
+        self._stage = stage
         self._progress = Progress(
             TextColumn("{task.description:<22}"),
             BarColumn(),
@@ -57,14 +58,14 @@ class Bar:
         Yields:
           The state, and the metrics as Python floats.
         Raises:
-          FloatingPointError: with the step and the value.
+          FloatingPointError: with the stage, the step at the chunk's end, and the value.
         """
         clock, previous = time.perf_counter(), None
         for state, metrics in chunks:
             values = {name: float(value) for name, value in metrics.items()}  # waits for the chunk
             step, now = int(state.step), time.perf_counter()
             if not abs(values["loss"]) < float("inf"):
-                raise FloatingPointError(f"step {step}: loss is {values['loss']}")
+                raise FloatingPointError(f"{self._stage}, step {step}: loss is {values['loss']}")
             note = f"loss {values['loss']:.4g}"
             if previous is not None:  # the first chunk's time is the compiler's
                 note += f"  {(step - previous) * config.batch_size / (now - clock):,.0f} images/s"

@@ -8,6 +8,7 @@ import resource
 import sys
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -136,10 +137,20 @@ def results(
         "expert": judge_expert(run, collected),
         "policies": policies,
         "seconds": run.seconds,
-        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_memory_mb": peak_memory_mb(),
         "versions": versions(),
         "config": asdict(config),
     }
+
+
+def peak_memory_mb() -> float:
+    """The most memory that this process has held at a time, MB (2^20 bytes)."""
+    status = Path("/proc/self/status")
+    if status.exists():  # Linux, whose ru_maxrss may be that of the process that started this one
+        lines = status.read_text().splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:"))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 1024  # bytes there, else KiB
 
 
 def versions() -> dict[str, str]:

@@ -3,10 +3,11 @@
 Shapes: N trajectories, T time, S state, A action, O latent, H reaction horizon, n frames.
 """
 
+import math
 import time
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,10 +21,14 @@ from jaxdeconf.expert import expert_trajectories
 from jaxdeconf.learn import clone, disentangle, views
 from jaxdeconf.learn.fit import FitState, Variables
 from jaxdeconf.pipeline.config import Config
+from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.store import Store
 from jaxdeconf.systems import System, Trajectories, random_trajectories
 from jaxdeconf.systems.rollout import frames
+
+# Of work that a kill may cost; a save takes a few tenths of one.
+SAVE_SECONDS = 30.0
 
 
 class Collected(NamedTuple):
@@ -60,6 +65,7 @@ class Run:
     store: Store
     reporter: Reporter
     seconds: dict[str, float]  # filled in stage by stage
+    interruption: Interruption = field(default_factory=Interruption)
 
     @property
     def system(self) -> System:
@@ -70,9 +76,9 @@ class Run:
         """The key of one named random choice: same seed and name, same key."""
         return jax.random.fold_in(jax.random.key(self.config.seed), zlib.crc32(name.encode()))
 
-    def stage(self, name: str, compute: Callable[[], Any]) -> Any:
+    def stage(self, name: str, compute: Callable[[], Any], made_from: Sequence[str] = ()) -> Any:
         """A stage in one piece: loaded if it was done before, else computed and saved."""
-        saved = self.store.load(name, compute)
+        saved = self.store.load(name, compute, made_from)
         if saved is not None:
             self.seconds[name] = saved[1]["seconds"]
             return saved[0]
@@ -81,8 +87,30 @@ class Run:
             value = jax.block_until_ready(compute())
             self.seconds[name] = time.perf_counter() - begin
             bar.update(1, "")
-        self.store.save(name, 0, value, {"seconds": self.seconds[name]})
+        self.store.save(name, 0, value, {"seconds": self.seconds[name]}, made_from)
+        self.interruption.check()
         return value
+
+    def checkpoint(
+        self,
+        name: str,
+        state: FitState,
+        notes: dict[str, Any],
+        made_from: Sequence[str],
+        now: bool,
+    ) -> None:
+        """At a chunk's edge: saves `now`, when the last save is long ago, or to stop.
+
+        Raises:
+          FloatingPointError: instead of saving weights that are not finite.
+          Interrupted: after saving, if the run has been asked to stop.
+        """
+        late = time.monotonic() - self.store.saved_at > SAVE_SECONDS
+        if now or late or self.interruption.asked:
+            if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state)):
+                raise FloatingPointError(f"{name}, step {state.step}: weights are not finite")
+            self.store.save(name, int(state.step), state, notes, made_from)
+        self.interruption.check()
 
 
 def collect(run: Run) -> Collected:
@@ -130,18 +158,17 @@ def train_disentangler(run: Run, collected: Collected) -> Disentangled:
         return Disentangled(variables, kl, kl > disentangle.ACTIVE_KL)
 
     images, _ = valid_frames(run.system, collected.random)
-    per_epoch, total = config.steps_per_epoch(len(images)), config.steps(len(images))
+    total, made_from = config.steps(len(images)), ["collect"]
     begin_state = partial(disentangle.initial_state, config, images, weights_key)
-    state, notes = run.store.load(name, begin_state) or (None, {"seconds": 0.0})
+    state, notes = run.store.load(name, begin_state, made_from) or (None, {"seconds": 0.0})
     seconds = notes["seconds"]
     with run.reporter.bar(name, total, int(state.step) if state else 0) as bar:
         begin = time.perf_counter() - seconds
         state = state or begin_state()  # after the clock: fitting the linear start takes seconds
         chunks = disentangle.disentangle(config, state, images, run.key("VAE training"))
         for state, _ in bar.track(chunks, config):
-            if state.step % per_epoch == 0 or state.step == total:
-                seconds = time.perf_counter() - begin
-                run.store.save(name, int(state.step), state, {"seconds": seconds})
+            seconds = time.perf_counter() - begin
+            run.checkpoint(name, state, {"seconds": seconds}, made_from, int(state.step) == total)
     run.seconds[name] = seconds
     return judge(state.variables)
 
@@ -168,7 +195,7 @@ def find_mask(run: Run, collected: Collected, vae: Disentangled) -> mask.Mask:
         )
         return jax.tree.map(jnp.asarray, found)
 
-    return run.stage("mask", compute)
+    return run.stage("mask", compute, ["collect", "disentangle"])
 
 
 def view_of(run: Run, policy: str, vae: Disentangled, found: mask.Mask) -> tuple[views.View, Any]:
@@ -218,29 +245,27 @@ def train_policy(
     samples = imitated.valid.size
     per_epoch, total = config.steps_per_epoch(samples), config.steps(samples)
     evaluations = run.config.eval.steps(per_epoch, total)
+    made_from = ["collect", "disentangle", "mask"] if parameters else ["collect"]
     begin_state = partial(_initial_policy, run)
-    notes: dict[str, Any] = {"seconds": 0.0, "history": [], "train_loss": float("nan")}
-    state, notes = run.store.load(name, begin_state) or (begin_state(), notes)
+    # losses: of the chunks since the last evaluation.
+    notes: dict[str, Any] = {"seconds": 0.0, "history": [], "train_loss": math.nan, "losses": []}
+    state, notes = run.store.load(name, begin_state, made_from) or (begin_state(), notes)
     if state.step < total:
         with run.reporter.bar(name, total, int(state.step)) as bar:
             begin = time.perf_counter() - notes["seconds"]
-            data, losses = demonstrations(run.system, view, parameters, imitated), []
+            data = demonstrations(run.system, view, parameters, imitated)
             chunks = clone.clone(config, state, data, run.key("cloning"), evaluations)
             for state, metrics in bar.track(chunks, config):
-                losses.append(metrics["loss"])
-                if int(state.step) in evaluations:
-                    driven = drive(
-                        run, collected, view, evaluate.Weights(state.variables, parameters)
-                    )
-                    loss = evaluate.rollout_loss(run.system, driven)
+                evaluated = int(state.step) in evaluations
+                notes = {**notes, "losses": [*notes["losses"], metrics["loss"]]}
+                if evaluated:
+                    weights = evaluate.Weights(state.variables, parameters)
+                    loss = evaluate.rollout_loss(run.system, drive(run, collected, view, weights))
                     point = [int(state.step) / per_epoch, float(loss.mean()), float(loss.std())]
-                    notes = {
-                        "history": [*notes["history"], point],
-                        "train_loss": float(np.mean(losses)),
-                        "seconds": time.perf_counter() - begin,
-                    }
-                    run.store.save(name, int(state.step), state, notes)
-                    losses = []
+                    notes["history"] = [*notes["history"], point]
+                    notes |= {"train_loss": float(np.mean(notes["losses"])), "losses": []}
+                notes["seconds"] = time.perf_counter() - begin
+                run.checkpoint(name, state, notes, made_from, evaluated)
     run.seconds[name] = notes["seconds"]
     weights = evaluate.Weights(state.variables, parameters)
     return Cloned(weights, notes["history"], notes["train_loss"])

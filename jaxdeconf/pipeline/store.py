@@ -1,16 +1,20 @@
-"""A run directory: its config, its checkpoints (Orbax), and nothing that is not on disk.
+"""A run directory: its config, its checkpoints, and nothing that is not on disk.
 
-    DIR/config.json                      what was asked for
+    DIR/config.json                      what was asked for, and of which version of jaxdeconf
     DIR/checkpoints/STAGE/STEP/          the latest state of each stage, and its notes
     DIR/results.json, report.html, ...   written at the end
 
-Orbax writes a checkpoint beside its place and renames it, so what stands there is whole.
+A checkpoint notes which run it belongs to and what it was made from, so that none is ever taken for
+another's.
 """
 
+import contextlib
+import hashlib
 import json
-import logging
 import os
-from collections.abc import Callable
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +23,18 @@ import jax
 import numpy as np
 
 from jaxdeconf import __version__
+from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.pipeline.config import Config
+
+_PARTIAL = ".partial"  # of a file that is being written
 
 
 class StoreError(RuntimeError):
     """A run directory cannot be used; the message names the file and what to do."""
+
+
+class WriteError(RuntimeError):
+    """A run in progress cannot write; the message names the file and what to do."""
 
 
 class Store:
@@ -37,74 +48,146 @@ class Store:
           config: what the run is to do.
           resume: whether it goes on with what is there; the config must then be the same.
         Raises:
-          StoreError: if the directory holds a run and `resume` is not asked for, if it holds none
-            and it is, if the configs differ, or if it cannot be written.
+          StoreError: if the directory holds a run or anything else and `resume` is not asked for,
+            if it holds no run and it is, if the configs or the versions differ, or if it cannot be
+            written.
         """
         self.directory = directory
+        self.saved_at = time.monotonic()  # when it last saved
+        self._fingerprints: dict[str, str] = {}  # of the stages loaded or saved so far
         file, wanted = directory / "config.json", _plain(asdict(config))
+        self._identity = hashlib.sha256(json.dumps([__version__, wanted]).encode()).hexdigest()
         if resume:
             changed = _differences(_plain(asdict(read_config(directory))), wanted)
             if changed:
-                raise StoreError(f"{file}: resumed with another config: {', '.join(changed)}")
+                raise StoreError(
+                    f"{file}: resumed with another config: {', '.join(changed)}; "
+                    "leave those flags out, or start a new run with --out"
+                )
             return
-        if file.exists():
-            raise StoreError(
-                f"{directory}: holds a run; use --resume {directory}, or another --out"
-            )
+        require_empty(directory)
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            write_json(file, wanted)
+            write_config(directory, config)
         except OSError as error:
-            raise StoreError(f"{directory}: cannot be written ({error.strerror})") from error
+            raise StoreError(
+                f"{directory}: cannot be written ({error.strerror}); use another --out"
+            ) from error
 
-    def save(self, stage: str, step: int, state: Any, notes: dict[str, Any]) -> None:
-        """Makes `state`, a pytree of jax arrays, the stage's latest, with notes for JSON."""
-        with self._checkpointer(stage) as checkpointer:
-            checkpointer.save(step, state, custom_metadata=_plain(notes), overwrite=True)
+    def save(
+        self,
+        stage: str,
+        step: int,
+        state: Any,
+        notes: dict[str, Any],
+        made_from: Sequence[str] = (),
+    ) -> None:
+        """Makes `state`, a pytree of jax arrays, the stage's latest.
 
-    def load(self, stage: str, template: Callable[[], Any]) -> tuple[Any, dict[str, Any]] | None:
+        Args:
+          stage: its name.
+          step: higher than that of the stage's last save.
+          state: what is saved.
+          notes: values for JSON, beside it.
+          made_from: the stages, loaded or saved before, that it follows from.
+        Raises:
+          WriteError: if the disk does not take it; what was saved before is still there.
+        """
+        self._fingerprints[stage] = checkpoint.fingerprint(state)
+        notes = {
+            "run": self._identity,
+            "fingerprint": self._fingerprints[stage],
+            "made_from": self._ancestors(made_from),
+            "notes": _plain(notes),
+        }
+        folder = self._folder(stage) / str(step)
+        try:
+            checkpoint.write(folder, state, notes)
+        except Exception as error:
+            raise _write_error(self.directory, folder, error) from error
+        self.saved_at = time.monotonic()
+
+    def load(
+        self, stage: str, template: Callable[[], Any], made_from: Sequence[str] = ()
+    ) -> tuple[Any, dict[str, Any]] | None:
         """The stage's latest state and notes, or None if it has none.
 
         Args:
           stage: its name.
           template: makes such a state; it is only traced, and only if there is one to load.
+          made_from: as it was saved with.
         Raises:
-          StoreError: if what is there cannot be read as the template.
+          StoreError: if what is there is damaged, is of another run, or was made from other
+            numbers than the stages that it follows from hold by now.
         """
-        if not self._folder(stage).is_dir():
+        folder = checkpoint.latest(self._folder(stage))
+        if folder is None:
             return None
-        with self._checkpointer(stage) as checkpointer:
-            latest = checkpointer.latest
-            if latest is None:
-                return None
-            device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
-            like = jax.tree.map(
-                lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=device),
-                jax.eval_shape(template),
-            )
-            try:
-                state = checkpointer.load(latest, like)
-                return state, checkpointer.metadata(latest).custom_metadata
-            except Exception as error:
-                folder = self._folder(stage)
-                cause = str(error.__cause__ or error).splitlines()[0]
-                raise StoreError(
-                    f"{folder / str(latest.step)}: not a checkpoint of this run ({cause}); "
-                    f"delete {folder} to redo the stage"
-                ) from error
+        try:
+            notes = checkpoint.read_notes(folder)
+            self._check(notes, made_from)
+            state = checkpoint.read_state(folder, template)
+            if checkpoint.fingerprint(state) != notes["fingerprint"]:
+                raise ValueError("its arrays are not of the types that were saved")
+        except Exception as error:
+            raise StoreError(
+                f"{folder}: not a checkpoint of this run ({_cause(error)}); "
+                f"delete {folder.parent} to redo the stage"
+            ) from error
+        self._fingerprints[stage] = notes["fingerprint"]
+        return state, notes["notes"]
+
+    def _check(self, notes: dict[str, Any], made_from: Sequence[str]) -> None:
+        if notes["run"] != self._identity:
+            raise ValueError("made with another config, or another version, than config.json says")
+        for stage, now in self._ancestors(made_from).items():
+            if notes["made_from"].get(stage) != now:
+                raise ValueError(f"made from another {stage} than is there now")
+
+    def _ancestors(self, stages: Sequence[str]) -> dict[str, str]:
+        return {stage: self._fingerprints[stage] for stage in stages}
 
     def _folder(self, stage: str) -> Path:
         return self.directory.absolute() / "checkpoints" / stage
 
-    def _checkpointer(self, stage: str):
-        # Orbax takes a second to import: only runs that save pay for it.
-        from orbax.checkpoint import v1 as ocp
 
-        logging.getLogger("absl").setLevel(logging.ERROR)  # it narrates every save
-        keep = ocp.training.preservation_policies.LatestN(1)
-        return ocp.training.Checkpointer(
-            str(self._folder(stage)),
-            preservation_policy=keep,  # pyright: ignore[reportArgumentType] (its own class)
+@contextlib.contextmanager
+def writing(directory: Path) -> Iterator[None]:
+    """Turns what keeps a run's files from being written into a WriteError."""
+    try:
+        yield
+    except OSError as error:
+        raise _write_error(directory, Path(error.filename or directory), error) from error
+
+
+def _write_error(directory: Path, place: Path, error: Exception) -> WriteError:
+    return WriteError(
+        f"{place}: cannot be written ({_cause(error)}); "
+        f"make room, then go on with --resume {directory}"
+    )
+
+
+def require_empty(directory: Path) -> None:
+    """Refuses to put a new run where anything is.
+
+    Raises:
+      StoreError: if the directory holds a run, or other files.
+    """
+    if (directory / "config.json").exists():
+        raise StoreError(f"{directory}: holds a run; use --resume {directory}, or another --out")
+    try:
+        # A run killed in its first moment may have left a part of its config.
+        others = {entry.name for entry in directory.iterdir()} - {"config.json" + _PARTIAL}
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise StoreError(
+            f"{directory}: cannot be written ({error.strerror}); use another --out"
+        ) from error
+    if others:
+        raise StoreError(
+            f"{directory / min(others)}: is no run's, and would be among one's files; "
+            "use an empty or a new --out"
         )
 
 
@@ -116,11 +199,28 @@ def read_config(directory: Path) -> Config:
     """
     file = directory / "config.json"
     try:
-        return _structure(Config, json.loads(file.read_text()))
+        plain = json.loads(file.read_text())
+        version = plain.pop("jaxdeconf", "unknown")
+        if version != __version__:
+            raise StoreError(
+                f"{file}: a run of jaxdeconf {version}, not of this version, {__version__}; "
+                "finish it with its own, or start a new run with --out"
+            )
+        return _structure(Config, plain)
     except OSError as error:
-        raise StoreError(f"{file}: no run to resume there ({error.strerror})") from error
-    except (ValueError, TypeError) as error:
-        raise StoreError(f"{file}: not a config of jaxdeconf {__version__} ({error})") from error
+        raise StoreError(
+            f"{file}: no run to resume there ({error.strerror}); start one with --out"
+        ) from error
+    except (ValueError, TypeError, AttributeError) as error:
+        raise StoreError(
+            f"{file}: not a config of jaxdeconf {__version__} ({_cause(error)}); "
+            "start a new run with --out"
+        ) from error
+
+
+def write_config(directory: Path, config: Config) -> None:
+    """Writes the config.json that `read_config` reads."""
+    write_json(directory / "config.json", {"jaxdeconf": __version__, **asdict(config)})
 
 
 def _structure(kind: Any, plain: dict[str, Any]) -> Any:
@@ -142,7 +242,7 @@ def write_json(file: Path, value: Any) -> Any:
     Returns:
       The value as the file gives it back: arrays are lists.
     """
-    partial, plain = file.with_name(file.name + ".partial"), _plain(value)
+    partial, plain = file.with_name(file.name + _PARTIAL), _plain(value)
     partial.write_text(json.dumps(plain, indent=1) + "\n")
     os.replace(partial, file)
     return plain
@@ -157,6 +257,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         return np.asarray(value).tolist()
     return value
+
+
+def _cause(error: Exception) -> str:
+    """An error in one line; Orbax wraps the one that says what is wrong."""
+    cause = error.__cause__ or error
+    words = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
+    system = re.search(r": ([^:]*) \[os_error_code", words)  # within much that Orbax adds
+    return system[1] if system else words.splitlines()[0]
 
 
 def _differences(old: Any, new: Any, path: str = "") -> list[str]:

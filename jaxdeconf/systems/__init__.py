@@ -20,6 +20,6 @@ def get(name: str) -> System:
     Raises:
       ValueError: if there is none; the message lists the known names.
     """
-    if name not in _SYSTEMS:
+    if name not in names():
         raise ValueError(f"name: expected one of {', '.join(_SYSTEMS)}, got {name!r}")
     return _SYSTEMS[name]

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.systems.system import System
 
 # (memory, state [S], previous action [A], key) -> (memory, action [A])
@@ -54,6 +55,10 @@ def rollout_with_memory(
     system: System, policy: Policy, memory: Any, state: Array, key: Array
 ) -> tuple[Trajectories, Any]:
     """`rollout`, and the policy's memory at the end (what it has counted, say)."""
+    checks.instance("system", system, System)
+    size = len(system.state_names)
+    checks.array("state", state, f"[{size}]", (size,), of="floats")
+    checks.key("key", key)
     first_key, policy_key = jax.random.split(key)
 
     def advance(carry: tuple, step_key: Array) -> tuple[tuple, Trajectories]:
@@ -74,6 +79,9 @@ def rollout_with_memory(
 @partial(jax.jit, static_argnums=(0, 2))
 def random_trajectories(system: System, key: Array, count: int) -> Trajectories:
     """N = count trajectories of uniform random actions from random initial states."""
+    checks.instance("system", system, System)
+    checks.integer("count", count)
+    checks.key("key", key)
 
     def policy(memory: None, state: Array, previous_action: Array, key: Array):
         return memory, sample_action(system, key)
@@ -88,6 +96,15 @@ def random_trajectories(system: System, key: Array, count: int) -> Trajectories:
 @partial(jax.jit, static_argnames="system")
 def frames(system: System, trajectories: Trajectories) -> Array:
     """uint8 [..., 64, 64, 3]: the frame of every state in trajectories of any leading shape."""
+    checks.instance("system", system, System)
+    checks.instance("trajectories", trajectories, Trajectories)
+    form, lead = "[..., {}]", trajectories.states.shape[:-1]
+    for name, size in (
+        ("states", len(system.state_names)),
+        ("previous_actions", len(system.action_limit)),
+    ):
+        value = getattr(trajectories, name)
+        checks.array(name, value, form.format(size), (*lead, size), of="floats")
     draw = system.frame
     for _ in range(trajectories.states.ndim - 1):
         draw = jax.vmap(draw)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.vision import raster
 
 WHITE = (1.0, 1.0, 1.0)
@@ -23,6 +24,11 @@ class ColorSquare:
     corner: tuple[float, float] = (0.0, 0.0)  # top left, pixels; the paper's
     low: tuple[float, float, float] = (0.0, 1.0, 0.0)  # green at -limit; the paper's
     high: tuple[float, float, float] = (1.0, 0.0, 0.0)  # red at +limit; the paper's
+
+    def __post_init__(self):
+        checks.positive("size", self.size)
+        for name, length in (("corner", 2), ("low", 3), ("high", 3)):
+            checks.array(name, getattr(self, name), f"[{length}]", (length,), finite=True)
 
     def paint(self, image: Array, corner: raster.Vector, color: raster.Vector) -> Array:
         """Lays the square over image [H, W, 3]; corner [2] in pixels, color [3] in [0, 1]."""
@@ -41,6 +47,7 @@ class ColorSquare:
         Returns:
           [H, W, 3] in [0, 1].
         """
+        signal = checks.array("signal", signal, "[A]", (None,))
         low, high = jnp.asarray(self.low), jnp.asarray(self.high)
         return self.paint(image, self.corner, low + (signal[0] + 1.0) / 2.0 * (high - low))
 

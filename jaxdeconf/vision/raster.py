@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxdeconf import checks
+
 # A short vector: an array, or a tuple of numbers.
 Vector = ArrayLike | tuple[float, ...]
 
@@ -25,7 +27,7 @@ Points = tuple[Array, Array]
 
 def pixel_centers(size: int = SIZE) -> Points:
     """The centres of a square image's pixels: x [1, size] and y [size, 1], in pixels."""
-    centers = jnp.arange(size) + 0.5
+    centers = jnp.arange(checks.integer("size", size)) + 0.5
     return centers[None, :], centers[:, None]
 
 
@@ -85,6 +87,9 @@ def paint(image: Array, distance: Array, color: Vector) -> Array:
     Returns:
       [H, W, 3] in [0, 1].
     """
+    image = checks.array("image", image, "[H, W, 3]", (None, None, 3), of="floats")
+    checks.array("distance", distance, "[H, W]", image.shape[:2], of="floats")
+    checks.array("color", color, "[3]", (3,))
     ramp = jnp.clip(0.5 - distance, 0.0, 1.0)
     coverage = (ramp * ramp * (3.0 - 2.0 * ramp))[..., None]
     return image + coverage * (jnp.asarray(color) - image)
@@ -92,9 +97,11 @@ def paint(image: Array, distance: Array, color: Vector) -> Array:
 
 def quantize(image: Array) -> Array:
     """[...] uint8 of an image [...] in [0, 1]: what a camera hands over and what is stored."""
+    checks.array("image", image, "[...]", jnp.shape(image), of="floats")
     return jnp.round(jnp.clip(image, 0.0, 1.0) * 255.0).astype(jnp.uint8)
 
 
 def dequantize(image: Array) -> Array:
     """[...] float32 in [0, 1] of a uint8 image [...]."""
+    checks.array("image", image, "[...]", jnp.shape(image), of="uint8")
     return image.astype(jnp.float32) / 255.0

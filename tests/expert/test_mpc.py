@@ -203,8 +203,8 @@ def test_two_controls_match_a_condensed_qp():
     [
         (np.zeros(4), r"expected numbers of shape \[N, 4\], got float64 of shape \(4,\)"),
         (np.zeros((2, 5)), r"expected numbers of shape \[N, 4\], got float64 of shape \(2, 5\)"),
-        ([[0, 0, np.nan, 0]], r"expected finite numbers, got .*nan.* in row 0"),
-        ([[0, 0, 0, 0], [0, np.inf, 0, 0]], r"expected finite numbers, got .*inf.* in row 1"),
+        ([[0, 0, np.nan, 0]], r"expected finite numbers, got nan at \[0, 2\]"),
+        ([[0, 0, 0, 0], [0, np.inf, 0, 0]], r"expected finite numbers, got inf at \[1, 1\]"),
         ([["a", "b", "c", "d"]], r"expected numbers of shape \[N, 4\], got <U1"),
         ([[1, 2, 3, 4], [1, 2]], r"expected numbers of shape \[N, 4\], got"),
         (None, r"expected numbers of shape \[N, 4\], got"),
@@ -222,9 +222,9 @@ def test_wrong_states_are_refused(states, message):
 
 @pytest.mark.parametrize("horizon", [0, -3, 2.5, "30", None])
 def test_wrong_horizon_is_refused(horizon):
-    with pytest.raises(ValueError, match=r"^horizon: expected an integer >= 1, got "):
+    with pytest.raises(ValueError, match=r"^horizon: expected a positive integer, got "):
         plan(SYSTEM, STATES, horizon)
-    with pytest.raises(ValueError, match=r"^horizon: expected an integer >= 1, got "):
+    with pytest.raises(ValueError, match=r"^horizon: expected a positive integer, got "):
         ExpertConfig(horizon=horizon)
 
 

@@ -47,11 +47,11 @@ def test_level_of_the_test_under_independence():
 
 
 def test_wrong_arguments():
-    with pytest.raises(ValueError, match="n: expected at least 5 samples, got 4"):
+    with pytest.raises(ValueError, match=r"n: expected .*5.*, got 4"):
         threshold(4)
-    with pytest.raises(ValueError, match="tests: expected at least 1, got 0"):
+    with pytest.raises(ValueError, match="tests: expected a positive integer, got 0"):
         threshold(50, 0)
     with pytest.raises(ValueError, match=r"alpha: expected a probability in \(0, 1\), got 1.0"):
         threshold(50, 1, 1.0)
-    with pytest.raises(ValueError, match="n: expected at least 5 samples, got 3"):
+    with pytest.raises(ValueError, match=r"n: expected .*5.*, got 3"):
         p_value(0.1, 3)

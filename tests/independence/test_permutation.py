@@ -51,5 +51,5 @@ def test_jit():
 
 
 def test_wrong_argument():
-    with pytest.raises(ValueError, match="permutations: expected at least 1, got 0"):
+    with pytest.raises(ValueError, match="permutations: expected a positive integer, got 0"):
         permutation_p_value(np.arange(9), np.arange(9), jax.random.key(0), 0)

@@ -1,10 +1,7 @@
 """The whole program, as a user runs it: every stage, every file."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,28 +9,6 @@ from PIL import Image
 
 pytestmark = pytest.mark.slow
 POLICIES = ("BcVanilla", "BcManual", "Masked", "Reconstructed")
-
-
-def experiment(*arguments, cache):
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-m", "experiments.cartpole", *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "XDG_CACHE_HOME": str(cache)},
-    )
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(scope="module")
-def done(tmp_path_factory, cache):
-    directory = tmp_path_factory.mktemp("runs") / "smoke"
-    run = experiment("--preset", "smoke", "--out", str(directory), cache=cache)
-    assert run.returncode == 0, run.stderr
-    return directory, run
 
 
 @pytest.fixture(scope="module")
@@ -98,22 +73,19 @@ def test_every_picture_is_there(done):
     assert "data:image/png;base64," in (directory / "report.html").read_text()
 
 
-def test_a_finished_run_resumes_to_the_same_numbers(done, results, cache, tmp_path):
+def test_a_finished_run_resumes_to_the_same_numbers(done, experiment, numbers, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(done[0], copy)
-    # As if it had been killed before the third policy was done.
-    for name in ("clone Masked", "clone Reconstructed"):
+    # A missing stage is redone; that it comes out the same keeps the later ones valid.
+    for name in ("mask", "clone Masked"):
         shutil.rmtree(copy / "checkpoints" / name)
-    run = experiment("--resume", str(copy), cache=cache)
+    run = experiment("--resume", copy)
     assert run.returncode == 0, run.stderr
-    again = json.loads((copy / "results.json").read_text())
-    for volatile in ("seconds", "peak_memory_mb"):
-        del again[volatile], results[volatile]
-    assert again == results
+    assert numbers(copy) == numbers(done.directory)
 
 
-def test_a_run_is_not_overwritten(done, cache):
-    run = experiment("--preset", "smoke", "--out", str(done[0]), cache=cache)
+def test_a_run_is_not_overwritten(done, experiment, smoke):
+    run = experiment(*smoke, "--out", done.directory)
     assert run.returncode == 2
     assert run.stderr.count("\n") == 1
     assert "holds a run; use --resume" in run.stderr

@@ -1,0 +1,63 @@
+"""One uninterrupted smoke run, which several tests look at, and its compiled programs."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+# Small chunks, so that there are edges to stop at; the compiled programs are the same.
+SMOKE = ("--preset", "smoke", "--vae.chunk", "8", "--bc.chunk", "4")
+
+
+class Experiments:
+    """Runs experiments as a user does, with one cache of compiled programs."""
+
+    def __init__(self, cache: Path):
+        self.cache = cache
+
+    def __call__(self, *arguments, start=("-m", "experiments.cartpole"), **environment):
+        return subprocess.run(
+            [sys.executable, "-W", "error", *start, *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "XDG_CACHE_HOME": str(self.cache), **environment},
+        )
+
+
+class Done(NamedTuple):
+    directory: Path
+    process: subprocess.CompletedProcess
+
+
+@pytest.fixture(scope="session")
+def experiment(tmp_path_factory):
+    return Experiments(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="session")
+def done(tmp_path_factory, experiment):
+    directory = tmp_path_factory.mktemp("runs") / "smoke"
+    process = experiment(*SMOKE, "--out", directory)
+    assert process.returncode == 0, process.stderr
+    return Done(directory, process)
+
+
+@pytest.fixture
+def smoke():
+    """The arguments of the run that is `done`."""
+    return SMOKE
+
+
+@pytest.fixture
+def numbers():
+    """What a run's results.json holds, but for times and memory."""
+
+    def read(directory):
+        results = json.loads((directory / "results.json").read_text())
+        return {k: v for k, v in results.items() if k not in ("seconds", "peak_memory_mb")}
+
+    return read
