@@ -13,6 +13,11 @@ import pytest
 SMOKE = ("--preset", "smoke", "--vae.chunk", "8", "--bc.chunk", "4")
 
 
+# XLA starts a thread a core, or a device if those are more (or as many as NPROC says), and splits
+# long sums by their number: four threads, so that four devices change nothing on two cores.
+THREADS = "4"
+
+
 class Experiments:
     """Runs experiments as a user does, with one cache of compiled programs."""
 
@@ -24,7 +29,12 @@ class Experiments:
             [sys.executable, "-W", "error", *start, *map(str, arguments)],
             capture_output=True,
             text=True,
-            env={**os.environ, "XDG_CACHE_HOME": str(self.cache), **environment},
+            env={
+                **os.environ,
+                "XDG_CACHE_HOME": str(self.cache),
+                "NPROC": THREADS,
+                **environment,
+            },
         )
 
 

@@ -9,14 +9,13 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.pipeline.interruption import Interrupted, Interruption
 
-KILLED = Path(__file__).with_name("killed.py")
+KILLED = ("-m", "tests.pipeline.killed")
 # Every stage, in order. Two of the kills come in the middle of a save: the new checkpoint is whole
 # but not yet in its place; it is, but the old one has not been removed.
 STRIKES = [
@@ -42,7 +41,7 @@ def test_a_run_killed_in_every_stage_ends_with_the_same_numbers(
     for name, stage, when in STRIKES:
         if when == "random":
             when = moment.uniform(0.0, min(seconds[stage], 10.0))
-        run = experiment(name, stage, when, *arguments, start=[KILLED])
+        run = experiment(name, stage, when, *arguments, start=KILLED)
         words = f"{name} in {stage} at {when}: {run.stderr}"
         if name == "SIGKILL":
             assert run.returncode == -signal.SIGKILL, words
