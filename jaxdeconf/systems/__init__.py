@@ -1,12 +1,13 @@
 """What moves: physical systems as pure functions of (state, action)."""
 
 from jaxdeconf.systems.cartpole import CARTPOLE
+from jaxdeconf.systems.reacher import REACHER
 from jaxdeconf.systems.rollout import Trajectories, random_trajectories, rollout
 from jaxdeconf.systems.system import System
 
 __all__ = ["System", "Trajectories", "get", "names", "random_trajectories", "rollout"]
 
-_SYSTEMS = {system.name: system for system in (CARTPOLE,)}
+_SYSTEMS = {system.name: system for system in (CARTPOLE, REACHER)}
 
 
 def names() -> tuple[str, ...]:

@@ -17,18 +17,15 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
-class ColorSquare:
-    """A square whose colour runs linearly from `low` to `high` with the first action (CartPole)."""
+class Corner:
+    """The square patch of the frame in which a mark is, and which a human would cover."""
 
     size: float = 15.0  # pixels; the paper's
     corner: tuple[float, float] = (0.0, 0.0)  # top left, pixels; the paper's
-    low: tuple[float, float, float] = (0.0, 1.0, 0.0)  # green at -limit; the paper's
-    high: tuple[float, float, float] = (1.0, 0.0, 0.0)  # red at +limit; the paper's
 
     def __post_init__(self):
         checks.positive("size", self.size)
-        for name, length in (("corner", 2), ("low", 3), ("high", 3)):
-            checks.array(name, getattr(self, name), f"[{length}]", (length,), finite=True)
+        checks.array("corner", self.corner, "[2]", (2,), finite=True)
 
     def paint(self, image: Array, corner: raster.Vector, color: raster.Vector) -> Array:
         """Lays the square over image [H, W, 3]; corner [2] in pixels, color [3] in [0, 1]."""
@@ -37,6 +34,23 @@ class ColorSquare:
             raster.pixel_centers(image.shape[0]), jnp.asarray(corner) + half, half
         )
         return raster.paint(image, distance, color)
+
+    def cover(self, image: Array) -> Array:
+        """The frame [H, W, 3] with a white square where the nuisance was (BcManual)."""
+        return self.paint(image, self.corner, WHITE)
+
+
+@dataclass(frozen=True)
+class ColorSquare(Corner):
+    """A square whose colour runs linearly from `low` to `high` with the first action (CartPole)."""
+
+    low: tuple[float, float, float] = (0.0, 1.0, 0.0)  # green at -limit; the paper's
+    high: tuple[float, float, float] = (1.0, 0.0, 0.0)  # red at +limit; the paper's
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ("low", "high"):
+            checks.array(name, getattr(self, name), "[3]", (3,), finite=True)
 
     def draw(self, image: Array, signal: Array) -> Array:
         """The frame with the nuisance on it.
@@ -51,6 +65,34 @@ class ColorSquare:
         low, high = jnp.asarray(self.low), jnp.asarray(self.high)
         return self.paint(image, self.corner, low + (signal[0] + 1.0) / 2.0 * (high - low))
 
-    def cover(self, image: Array) -> Array:
-        """The frame [H, W, 3] with a white square where the nuisance was (BcManual)."""
-        return self.paint(image, self.corner, WHITE)
+
+@dataclass(frozen=True)
+class JoystickDot(Corner):
+    """A dot that the first action moves to the right and the second one upwards (Reacher)."""
+
+    color: tuple[float, float, float] = (1.0, 0.0, 0.0)  # red; the paper's
+    radius: float = 3.0  # pixels; ours
+    reach: float = 4.0  # pixels from the square's middle at the limit; ours: the dot stays inside
+
+    def __post_init__(self):
+        super().__post_init__()
+        checks.array("color", self.color, "[3]", (3,), finite=True)
+        for name in ("radius", "reach"):
+            checks.positive(name, getattr(self, name))
+
+    def draw(self, image: Array, signal: Array) -> Array:
+        """The frame with the nuisance on it.
+
+        Args:
+          image: [H, W, 3] in [0, 1].
+          signal: [A >= 2] previous action over its limit, in [-1, 1].
+        Returns:
+          [H, W, 3] in [0, 1].
+        """
+        signal = checks.array("signal", signal, "[A]", (None,))
+        if len(signal) < 2:
+            raise ValueError(f"signal: expected two actions or more, got {len(signal)}")
+        middle = jnp.asarray(self.corner) + self.size / 2
+        center = middle + self.reach * signal[:2] * jnp.asarray([1.0, -1.0])
+        distance = raster.disc(raster.pixel_centers(image.shape[0]), center, self.radius)
+        return raster.paint(image, distance, self.color)
