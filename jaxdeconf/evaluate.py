@@ -102,10 +102,11 @@ def rollout_loss(system: System, trajectories: Trajectories) -> Array:
     return cost(trajectories.states, trajectories.actions).mean(axis=1)
 
 
-def survived(trajectories: Trajectories) -> Array:
-    """[R] bool: whether each trajectory stayed in bounds to its end."""
+def outcome(system: System, trajectories: Trajectories) -> Array:
+    """[R] what each trajectory came to, in the system's own terms: 1 for survival, say."""
+    checks.instance("system", system, System)
     _check_trajectories(trajectories)
-    return trajectories.valid[:, -1]
+    return jax.vmap(system.outcome.of)(trajectories.states, trajectories.valid)
 
 
 @partial(jax.jit, static_argnames=("system", "driver"))

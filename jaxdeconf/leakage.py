@@ -55,7 +55,7 @@ def _kernel(a: Array, b: Array) -> Array:
 
 @partial(jax.jit, static_argnames="components")
 def _predict(train: Array, signal: Array, test: Array, key: Array, components: int) -> Array:
-    """[m, A] predictions at test [m, P]; the ridge is the best by leave-one-out on train [n, P]."""
+    """[m, A] predictions at test [m, P]; each ridge the best by leave-one-out on train [n, P]."""
     mean = train.mean(axis=0)
     vectors, variances = principal_components(train - mean, components, key)
     scale = jnp.sqrt(jnp.maximum(variances, variances[0] * _FLOOR**2) + 1e-12)
@@ -69,10 +69,12 @@ def _predict(train: Array, signal: Array, test: Array, key: Array, components: i
         weights = basis @ (inverse[:, None] * rotated)
         # Leave-one-out residuals: alpha_i / (K + ridge I)^-1_ii.
         residual = weights / ((basis * basis) @ inverse)[:, None]
-        return (residual**2).mean(), weights
+        return (residual**2).mean(axis=0), weights
 
-    errors, weights = jax.lax.map(solve, jnp.asarray(_RIDGES))
-    return offset + _kernel(test_features, features) @ weights[jnp.argmin(errors)]
+    errors, weights = jax.lax.map(solve, jnp.asarray(_RIDGES))  # [ridges, A], [ridges, n, A]
+    best = jnp.argmin(errors, axis=0)
+    chosen = jnp.take_along_axis(weights, best[None, None], axis=0)[0]
+    return offset + _kernel(test_features, features) @ chosen
 
 
 def r_squared(
@@ -100,6 +102,35 @@ def r_squared(
         checks.array(f"{name}_signal", signal, form, (count, None), finite=True)
     flat = [jnp.asarray(x, jnp.float32).reshape(len(x), -1) for x in (train, test)]
     components = min(_COMPONENTS, len(train) - 1, flat[0].shape[1])
-    predicted = _predict(flat[0], train_signal, flat[1], key, components)
-    explained = ((predicted - test_signal) ** 2).mean(0) / test_signal.var(0)
-    return jnp.mean(1.0 - explained)
+    return _shares(flat[0], train_signal, flat[1], test_signal, key, components).mean()
+
+
+def _shares(train, train_signal, test, test_signal, key, components: int) -> Array:
+    """[A] R² of each signal on test frames [m, P]; 0 for one that is constant."""
+    predicted = _predict(train, train_signal, test, key, components)
+    error, variance = ((predicted - test_signal) ** 2).mean(axis=0), test_signal.var(axis=0)
+    return jnp.where(variance > 0.0, 1.0 - error / jnp.where(variance > 0.0, variance, 1.0), 0.0)
+
+
+def explained(signal: Array, latents: Array, key: Array) -> Array:
+    """The share of each latent's variance that a signal explains, in whatever nonlinear way.
+
+    The regression is fitted to the first half and judged on the second: 1 for a latent that is a
+    function of the signal alone, about 0, or a little below, for one that is independent of it.
+
+    Args:
+      signal: [n, A].
+      latents: [n, O].
+      key: starts the search for principal components.
+    Returns:
+      [O] R².
+    Raises:
+      ValueError: if they differ in number, or are fewer than four.
+    """
+    checks.key("key", key)
+    signal = checks.array("signal", signal, "[n, A]", (None, None), finite=True)
+    count = checks.integer("rows of signal", len(signal), least=4)
+    latents = checks.array("latents", latents, f"[{count}, O]", (count, None), finite=True)
+    half, signal, latents = count // 2, jnp.asarray(signal), jnp.asarray(latents)
+    components = signal.shape[1]
+    return _shares(signal[:half], latents[:half], signal[half:], latents[half:], key, components)

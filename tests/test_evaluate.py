@@ -65,7 +65,7 @@ def test_rollout_loss_charges_the_cost_of_the_exit_for_the_rest(driven):
                 break
         assert len(costs) == 100
         assert losses[r] == pytest.approx(np.mean(costs), rel=1e-4)
-        assert evaluate.survived(driven)[r] == (abs(states[-1, 2]) <= np.pi / 2)
+        assert evaluate.outcome(SYSTEM, driven)[r] == (abs(states[-1, 2]) <= np.pi / 2)
     assert ended  # an untrained policy drops the pole
 
 

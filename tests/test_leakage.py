@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf.leakage import r_squared, spearman
+from jaxdeconf.leakage import explained, r_squared, spearman
 
 N = 500
 
@@ -64,3 +64,14 @@ def test_frames_and_signals_must_match():
         ValueError, match=r"test_signal: expected numbers of shape \[1000, A\].*\(500, 1\)"
     ):
         r_squared(images, signal, images, signal[:N], jax.random.key(0))
+
+
+def test_a_signal_explains_what_is_a_function_of_it_and_nothing_else():
+    signal = jax.random.uniform(jax.random.key(4), (2 * N, 2), minval=-1)
+    noise = jax.random.normal(jax.random.key(5), (2 * N,))
+    folded = jnp.cos(3 * signal[:, 0]) * signal[:, 1]
+    latents = jnp.stack([signal[:, 0], folded, noise, folded + folded.std() * noise, 0 * noise], 1)
+    found = explained(signal, latents, jax.random.key(6))
+    np.testing.assert_allclose(found, [1, 1, 0, 0.5, 0], atol=0.15)
+    np.testing.assert_allclose(found[:3], [1, 1, 0], atol=0.02)
+    assert abs(spearman(latents[:, 1:2], signal)).max() < 0.1  # which no correlation shows

@@ -29,11 +29,15 @@ class ExpertConfig:
     # Ours. A plan has converged if the last iteration's model promised to lower the cost by no more
     # than this fraction: a Gauss-Newton decrement, so the cost after that iteration is closer yet.
     tolerance: float = 1e-4
+    # A cost below this counts as this: what is left at rest on the goal is rounding. Ours, of a
+    # mean stage cost of 1e-4 over 30 steps.
+    least_cost: float = 3e-3
 
     def __post_init__(self) -> None:
         for name in ("horizon", "initial_iterations", "step_iterations"):
             checks.integer(name, getattr(self, name))
         checks.positive("tolerance", self.tolerance)
+        checks.positive("least_cost", self.least_cost)
 
 
 class Plans(NamedTuple):
@@ -159,7 +163,7 @@ def _solve_cold(system: System, state: Array, horizon: int, iterations: int) -> 
 
 
 def _converged(solution: ilqr.Solution, config: ExpertConfig) -> Array:
-    return solution.promise <= config.tolerance * solution.cost
+    return solution.promise <= config.tolerance * jnp.maximum(solution.cost, config.least_cost)
 
 
 def _states(system: System, initial_states: ArrayLike) -> Array:

@@ -32,12 +32,24 @@ class ResNetConfig:
     # "cifar": 3×3, full resolution (the usual pre-activation form, 11.17 M parameters).
     # "imagenet": 7×7 stride 2 and a 3×3 stride 2 max-pool; about nine times cheaper, for a CPU.
     stem: Literal["cifar", "imagenet"] = "cifar"
+    stages: int = 4  # He et al.; fewer keep the last one's resolution high
+    # What becomes of the last stage's channels. "mean": of each over the image, He et al.'s.
+    # "spatial_softmax": where each is high, as expected x and y under a softmax over the image
+    # (Levine et al. 2016): positions, where the policy needs no classes.
+    pool: Literal["mean", "spatial_softmax"] = "mean"
+    hidden: tuple[int, ...] = ()  # widths of layers between pool and output; He et al.: none
     norm: Literal["batch", "none"] = "batch"  # He et al.: batch normalisation
     dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
 
     def __post_init__(self):
         checks.integer("width", self.width)
         checks.one_of("stem", self.stem, ("cifar", "imagenet"))
+        checks.integer("stages", self.stages, most=4)
+        checks.one_of("pool", self.pool, ("mean", "spatial_softmax"))
+        if not isinstance(self.hidden, tuple):
+            raise ValueError(f"hidden: expected a tuple of positive integers, got {self.hidden!r}")
+        for width in self.hidden:
+            checks.integer("hidden", width)
         checks.one_of("norm", self.norm, ("batch", "none"))
         checks.one_of("dtype", self.dtype, ("float32", "bfloat16"))
 
@@ -93,6 +105,16 @@ def apply(
     return out.astype(jnp.float32), updates.get("batch_stats", {})
 
 
+def spatial_softmax(x: Array) -> Array:
+    """[B, 2 C] expected (x, y), each in [-1, 1], under a softmax of [B, H, W, C] over the image."""
+    batch, height, width, channels = x.shape
+    share = jax.nn.softmax(x.reshape(batch, -1, channels), axis=1).reshape(x.shape)
+    columns, rows = (jnp.linspace(-1.0, 1.0, size, dtype=x.dtype) for size in (width, height))
+    across = jnp.einsum("bhwc,w->bc", share, columns)
+    down = jnp.einsum("bhwc,h->bc", share, rows)
+    return jnp.concatenate([across, down], axis=1)
+
+
 def _conv(config: ResNetConfig, features: int, size: int, stride: int, name: str) -> nn.Conv:
     """A bias-free convolution, padded alike on both sides as the original is."""
     return nn.Conv(
@@ -145,7 +167,7 @@ class _ResNet(nn.Module):
             x = _conv(self.config, width, 3, 1, "stem")(x)
         else:
             x = max_pool(_conv(self.config, width, 7, 2, "stem")(x))
-        for stage, stride in enumerate((1, 2, 2, 2)):
+        for stage, stride in enumerate((1, 2, 2, 2)[: self.config.stages]):
             for block in range(2):
                 x = _Block(
                     self.config,
@@ -153,5 +175,9 @@ class _ResNet(nn.Module):
                     stride=stride if block == 0 else 1,
                     name=f"stage_{stage + 1}_block_{block + 1}",
                 )(x, train)
-        x = _norm_relu(self.config, x, train, "norm").mean((1, 2))
+        x = _norm_relu(self.config, x, train, "norm")
+        x = spatial_softmax(x) if self.config.pool == "spatial_softmax" else x.mean((1, 2))
+        for i, features in enumerate(self.config.hidden, 1):
+            x = nn.Dense(features, dtype=jnp.dtype(self.config.dtype), name=f"hidden_{i}")(x)
+            x = nn.relu(x)
         return nn.Dense(self.outputs, dtype=jnp.dtype(self.config.dtype), name="head")(x)

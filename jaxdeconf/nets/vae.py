@@ -2,8 +2,8 @@
 
 Architecture: BetaVAE of PyTorch-VAE (Subramanian 2020), the implementation the paper cites: strided
 3×3 convolutions down to a vector and transposed ones back, with batch normalisation and leaky ReLU.
-The linear path is ours: with the convolutions' last layers at zero the network starts as a linear
-autoencoder, so that a PCA or ICA solution can be its initial value.
+The linear path is ours: with the networks' last layers at zero the whole starts as a linear
+autoencoder, so that a PCA or ICA solution can be its initial value. So is the decoder by place.
 
 Plain functions hide Flax; the variables are plain pytrees that vmap over models.
 Shapes: B batch, S image side, P = 3·S² pixels, O latents.
@@ -18,6 +18,7 @@ from flax import linen as nn
 from jax import Array
 
 from jaxdeconf import checks
+from jaxdeconf.nets import coordinates
 from jaxdeconf.nets.conv import conv_general_dilated
 from jaxdeconf.nets.initial import draw
 
@@ -37,6 +38,9 @@ class VAEConfig:
     latents: int = 3  # the paper's, for CartPole
     image_size: int = 64  # the paper's: frames are 64 × 64 × 3
     linear_path: bool = False  # ours: off is the paper's network
+    # "coordinates" is ours: by place (nets/coordinates.py), for shapes that move and turn.
+    decoder: Literal["convolutions", "coordinates"] = "convolutions"
+    width: int = 64  # of the decoder by place
     norm: Literal["batch", "none"] = "batch"  # PyTorch-VAE: batch normalisation
     dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
 
@@ -52,6 +56,8 @@ class VAEConfig:
                 f"image_size: expected a multiple of {2 ** len(self.channels)} "
                 f"(one halving a channel entry), got {self.image_size}"
             )
+        checks.one_of("decoder", self.decoder, ("convolutions", "coordinates"))
+        checks.integer("width", self.width)
         checks.one_of("norm", self.norm, ("batch", "none"))
         checks.one_of("dtype", self.dtype, ("float32", "bfloat16"))
 
@@ -59,6 +65,11 @@ class VAEConfig:
     def pixels(self) -> int:
         """P: the length of a flattened image."""
         return 3 * self.image_size**2
+
+    @property
+    def patches(self) -> int:
+        """N: the 2×2 patches of an image."""
+        return self.pixels // coordinates.CHANNELS
 
 
 def init(config: VAEConfig, key: Array) -> Variables:
@@ -75,15 +86,17 @@ def init(config: VAEConfig, key: Array) -> Variables:
     encoder_key, decoder_key = jax.random.split(key)
     images = jnp.zeros((1, config.image_size, config.image_size, 3))
     latents = jnp.zeros((1, config.latents))
-    # Zero beside a linear path: the convolutions start silent, but still get a gradient.
+    # Zero beside a linear path: the networks start silent, but still get a gradient.
     silent = ("mean", "log_variance", "rgb") if config.linear_path else ()
-    encoder, decoder = (
-        draw(jax.eval_shape(lambda m=m, k=k, x=x: m.init(k, x, train=False)), k, 1, silent)
-        for m, k, x in (
-            (_Encoder(config), encoder_key, images),
-            (_Decoder(config), decoder_key, latents),
-        )
-    )
+    shapes = jax.eval_shape(lambda: _Encoder(config).init(key, images, train=False))
+    encoder = draw(shapes, encoder_key, 1, silent)
+    if config.decoder == "coordinates":
+        module, place = _coordinate_decoder(config), jnp.zeros((1, 3))
+        shapes = jax.eval_shape(lambda: module.init(key, latents, place))
+        decoder = draw(shapes, decoder_key, 2, silent)
+    else:
+        shapes = jax.eval_shape(lambda: _Decoder(config).init(key, latents, train=False))
+        decoder = draw(shapes, decoder_key, 1, silent)
     params = {"encoder": encoder["params"], "decoder": decoder["params"]}
     if config.linear_path:
         params["linear"] = {
@@ -135,12 +148,45 @@ def decode(
     """
     count = config.latents
     checks.array("latents", latents, f"[B, {count}]", (None, count), of="floats")
+    if config.decoder == "coordinates":
+        every = jnp.arange(config.patches)
+        patches = decode_patches(config, variables, latents, every)
+        return coordinates.from_patches(patches), variables["batch_stats"]
     images, batch_stats = _run(_Decoder(config), "decoder", variables, latents, train)
     if config.linear_path:
         linear = variables["params"]["linear"]
         flat = linear["pixel_mean"] + latents @ linear["decoder"]
         return images + flat.reshape(images.shape), batch_stats
     return 0.5 * (jnp.tanh(images) + 1), batch_stats
+
+
+def decode_patches(config: VAEConfig, variables: Variables, latents: Array, chosen: Array) -> Array:
+    """Some 2×2 patches of images from latents, by the decoder by place.
+
+    Args:
+      config, variables: as in `encode`.
+      latents: [B, O].
+      chosen: [n] int, which of the image's N patches, row-major.
+    Returns:
+      [B, n, 12], in the order of `coordinates.to_patches`, in the range of `decode`.
+    """
+    if config.decoder != "coordinates":
+        raise ValueError(f"decoder: expected 'coordinates', got {config.decoder!r}")
+    side = config.image_size
+    places = jnp.asarray(coordinates.places(side))[chosen]
+    parameters = {"params": variables["params"]["decoder"]}
+    patches = _coordinate_decoder(config).apply(parameters, latents, places)
+    patches = jnp.asarray(patches).astype(jnp.float32)
+    if not config.linear_path:
+        return 0.5 * (jnp.tanh(patches) + 1)
+    linear = variables["params"]["linear"]
+    rows = jnp.concatenate([linear["pixel_mean"][None], linear["decoder"]])
+    rows = coordinates.to_patches(rows.reshape(-1, side, side, 3))[:, chosen]
+    return patches + rows[0] + jnp.einsum("bo,onc->bnc", latents, rows[1:])
+
+
+def _coordinate_decoder(config: VAEConfig) -> coordinates.CoordinateDecoder:
+    return coordinates.CoordinateDecoder(config.width, config.dtype)
 
 
 def _run(module: nn.Module, part: str, variables: Variables, x: Array, train: bool):

@@ -169,23 +169,26 @@ def _run_seeds(asked: Arguments, directory: Path, interruption: Interruption) ->
 
 def summary(results: dict, directory: Path) -> str:
     """A few lines for the terminal: what was masked, how each policy drove, where the report is."""
+    share = results["nuisance_share"]
     shown = ", ".join(
-        f"{findings.subscript('o', latent + 1)} "
-        f"(|Spearman| with the previous action {results['nuisance_correlation'][latent]:.2f})"
+        f"{findings.subscript('o', latent + 1)} ({share[latent]:.0%} the previous action's)"
         for latent in findings.masked(results)
     )
+    outcome = results["outcome"]
+
+    def drove(name: str, loss: float, came_to: float) -> str:
+        shown = f"{outcome['name']} {came_to:{outcome['form']}}"
+        return f"  {name:<14} rollout loss {loss:8.3f}   {shown:>14}"
+
+    expert = results["expert"]
     lines = [
         f"{results['system']}, {results['preset']}, seed {results['seed']}: "
         f"masked latents: {shown or 'none'}",
-        f"  {'Expert':<14} rollout loss {results['expert']['rollout_loss']:8.3f}   "
-        f"survival {results['expert']['survival']:4.0%}",
+        drove("Expert", expert["rollout_loss"], expert["outcome"]),
     ]
     for name, policy in results["policies"].items():
-        loss = policy["rollout_loss"]
-        lines.append(
-            f"  {name:<14} rollout loss {loss['mean']:8.3f}   survival {policy['survival']:4.0%}"
-            f"   copycat {policy['copycat']:.3f}   leakage {policy['leakage']:.2f}"
-        )
+        judged = f"   copycat {policy['copycat']:.3f}   leakage {policy['leakage']:.2f}"
+        lines.append(drove(name, policy["rollout_loss"]["mean"], policy["outcome"]) + judged)
     return "\n".join([*lines, f"  report: {directory / 'report.html'}"])
 
 

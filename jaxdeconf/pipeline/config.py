@@ -17,12 +17,17 @@ class CollectConfig:
     random_trajectories: int = 5000  # random-policy ones, for the β-VAE; the paper's, for CartPole
     expert_trajectories: int = 1000  # for the mask and for cloning; the paper's, for CartPole
     held_out_trajectories: int = 500  # ours: random-policy ones that judge latents and leakage
+    # Steps of each random-policy trajectory that are used, from the first; None is all, the
+    # paper's. More trajectories of fewer steps show more initial states.
+    random_steps: int | None = None
 
     def __post_init__(self):
         for name in ("random_trajectories", "held_out_trajectories"):
             checks.integer(name, getattr(self, name))
         # Hoeffding's D is a mean over quintuples.
         checks.integer("expert_trajectories", self.expert_trajectories, least=5)
+        if self.random_steps is not None:
+            checks.integer("random_steps", self.random_steps)
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ def _heat(axes: Axes, values: np.ndarray, gamma: float, floor: float):
 
 
 def _latent_header(axes: Axes, results: dict) -> None:
-    """Over each latent's column: what became of it, its |Spearman| with the nuisance, its KL."""
+    """Over each latent's column: what became of it, the previous action's share of it, its KL."""
     style = {
         "masked": {"color": "white", "bbox": {"fc": MASKED, "ec": MASKED, "boxstyle": "round"}},
         "kept": {"color": INK, "bbox": {"fc": "white", "ec": INK, "boxstyle": "round"}},
@@ -128,13 +128,13 @@ def _latent_header(axes: Axes, results: dict) -> None:
 
     latents = range(len(results["mask"]))
     axes.set_xticks(latents, [subscript("o", latent + 1) for latent in latents])
-    rows = {38: "Algorithm 1", 22: "|Spearman| with previous action", 9: "KL (nats)"}
+    rows = {38: "Algorithm 1", 22: "share of it that is the previous action's", 9: "KL (nats)"}
     for height, label in rows.items():
         write(label, -0.6, height, "right", color=FAINT)
     for latent in latents:
-        became, correlation = status(results, latent), results["nuisance_correlation"][latent]
+        became, share = status(results, latent), results["nuisance_share"][latent]
         write(became, latent, 38, **style[became])
-        write(fixed(correlation, 2), latent, 22, weight="bold" if correlation >= SAME else "normal")
+        write(fixed(share, 2), latent, 22, weight="bold" if share >= SAME else "normal")
         write(fixed(results["kl"][latent], 2), latent, 9)
 
 

@@ -120,22 +120,26 @@ def over_seeds(runs: Sequence[dict], policy: str) -> list[list[float]]:
 
 
 def _policies(results: dict) -> Iterator[str]:
-    rows = []
+    rows, form = [], results["outcome"]
+
+    def outcome(of: dict) -> str:
+        return format(of["outcome"], form["form"])
+
     for name in [name for name in POLICIES if name in results["policies"]]:
         policy = results["policies"][name]
         rollout = policy.get("rollout_loss", {})
         mean, std = loss(rollout.get("mean")), number(rollout.get("std"))
         scores = [fixed(policy.get(score), 3) for score in ("copycat", "leakage")]
-        rest = [percent(policy.get("survival")), *scores, loss(policy.get("train_loss"))]
+        rest = [outcome(policy), *scores, loss(policy.get("train_loss"))]
         rows.append([name, f"{mean} ± {std}", *rest])
     expert = results["expert"]
-    survival = percent(expert.get("survival"))
-    rows.append(["Expert", loss(expert["rollout_loss"]), survival, "–", "–", "–"])
+    rows.append(["Expert", loss(expert["rollout_loss"]), outcome(expert), "–", "–", "–"])
     yield page.table(
-        ["", "rollout loss", "survival", "copycat", "leakage R²", "train loss"],
+        ["", "rollout loss", form["name"], "copycat", "leakage R²", "train loss"],
         rows,
-        "Rollout loss: mean stage cost a step, ± standard deviation over rollouts. Survival: share "
-        "of rollouts in bounds to the end. Copycat: mean change of the action over its limit, "
+        "Rollout loss: mean stage cost a step, ± standard deviation over rollouts. "
+        f"{form['note']} "
+        "Copycat: mean change of the action over its limit, "
         "0 to 2, when only the nuisance is redrawn. Leakage: share of the previous action's "
         "variance that a regression finds in what the policy sees, on held-out frames.",
     )
@@ -156,13 +160,14 @@ def _dependences(results: dict) -> Iterator[str]:
     rows: list[list[page.Cell]] = []
     for latent, kl in enumerate(results["kl"]):
         became = findings.status(results, latent)
-        correlation = fixed(results["nuisance_correlation"][latent], 2)
-        about = [subscript("o", latent + 1), (became, became), fixed(kl, 2), correlation]
+        known = [fixed(results[f"nuisance_{of}"][latent], 2) for of in ("share", "correlation")]
+        about = [subscript("o", latent + 1), (became, became), fixed(kl, 2), *known]
         rows.append([*about, *_cells(statistics[:, latent], tests[:, latent], gamma)])
     yield page.table(
-        ["latent", "", "KL (nats)", "|Spearman|", *head],
+        ["latent", "", "KL (nats)", "share", "|Spearman|", *head],
         rows,
-        "|Spearman|: with the previous action, on held-out random-policy frames. D: Hoeffding's "
+        "Share: of its variance, what a regression on the previous action explains; |Spearman|: "
+        "with the previous action; both on held-out random-policy frames. D: Hoeffding's "
         f"statistic, with its p-value under independence; bold above γ = {gamma:.3g}.",
     )
     statistics = np.asarray(results["state_action"], float)

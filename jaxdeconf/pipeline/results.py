@@ -48,6 +48,7 @@ def judge_latents(
     config = run.config.vae.network
     mean, _ = disentangle.encode(config, vae.variables, images)
     correlation = jnp.abs(leakage.spearman(mean, actions)).max(axis=1)
+    signal, some = actions / run.system.limits, slice(0, 2 * _JUDGE_FRAMES)
     view, parameters = view_of(run, "Reconstructed", vae, found)
     images = images[:_JUDGE_FRAMES]
     error = raster.dequantize(_seen(view, parameters, images)) - raster.dequantize(images)
@@ -60,6 +61,7 @@ def judge_latents(
         "active": vae.active,
         "kl": vae.kl,
         "nuisance_correlation": correlation,
+        "nuisance_share": leakage.explained(signal[some], mean[some], run.key("nuisance share")),
         "reconstruction": {
             "nuisance": jnp.where(nuisance, squared, 0.0).sum(axis=(1, 2)).mean(),
             "elsewhere": jnp.where(nuisance, 0.0, squared).sum(axis=(1, 2)).mean(),
@@ -73,7 +75,7 @@ def judge_expert(run: Run, collected: Collected) -> dict[str, Array]:
     penalty = jax.vmap(jax.vmap(system.state_penalty))(trajectories.states[:, 1:])
     return {
         "rollout_loss": evaluate.rollout_loss(system, collected.driven).mean(),
-        "survival": evaluate.survived(collected.driven).mean(),
+        "outcome": evaluate.outcome(system, collected.driven).mean(),
         "violation_rate": (penalty > 0).mean(),
         "unconverged": collected.unconverged.sum() / trajectories.valid.size,
     }
@@ -91,7 +93,7 @@ def judge_policy(
     copied = evaluate.copycat(system, driver, cloned.weights, collected.driven, run.key("copycat"))
     return {
         "train_loss": cloned.train_loss,
-        "survival": evaluate.survived(driven).mean(),
+        "outcome": evaluate.outcome(system, driven).mean(),
         "copycat": copied,
         "leakage": leaked(run, policy, collected, vae, found),
         "rollout_loss": {"mean": loss.mean(), "std": loss.std(), "per_epoch": cloned.history},
@@ -124,6 +126,7 @@ def results(
         "seed": config.seed,
         "state_names": run.system.state_names,
         "action_names": run.system.action_names,
+        "outcome": {name: getattr(run.system.outcome, name) for name in ("name", "form", "note")},
         "reaction_horizon": config.mask.reaction_horizon,
         "mask": found.mask,
         "threshold": found.threshold,

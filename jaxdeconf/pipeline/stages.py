@@ -122,6 +122,7 @@ def collect(run: Run) -> Collected:
     def compute() -> Collected:
         # Each policy rolls out all its trajectories in one call: one shape, one compilation.
         random = random_trajectories(system, run.key("random"), learned + held_out)
+        random = jax.tree.map(lambda a: a[:, : config.collect.random_steps], random)
         keys = jax.random.split(run.key("expert initial states"), imitated + driven)
         states = jax.vmap(system.sample_initial)(keys)
         expert, unconverged = expert_trajectories(system, states, run.key("expert"), config.expert)

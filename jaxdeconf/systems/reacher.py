@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxdeconf.systems.system import System
+from jaxdeconf.systems.system import Outcome, System
 from jaxdeconf.vision import raster
 from jaxdeconf.vision.nuisance import WHITE, JoystickDot
 
@@ -244,4 +244,10 @@ REACHER = System(
     in_bounds=in_bounds,
     draw=draw,
     nuisance=JoystickDot(),
+    outcome=Outcome(
+        "final distance (m)",
+        ".3f",
+        "Final distance: from the arm's end to the target at the last step, mean over rollouts.",
+        lambda states, _: distance(states[-1]),
+    ),
 )

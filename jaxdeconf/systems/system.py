@@ -5,7 +5,7 @@ Shapes: S state, A action, K plan. All functions take one sample; the caller vma
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 from jax import Array
@@ -23,6 +23,24 @@ class Nuisance(Protocol):
     def cover(self, image: Array) -> Array:
         """Image [H, W, 3] with the mark covered in white."""
         ...
+
+
+class Outcome(NamedTuple):
+    """What a rollout comes to, beside its cost."""
+
+    name: str  # the head of a column
+    form: str  # of its mean, a format specification
+    note: str  # a sentence on what it is
+    of: Callable[[Array, Array], Array]  # (states [T, S], valid [T]) -> [] float
+
+
+# Of a system that can fall.
+SURVIVAL = Outcome(
+    "survival",
+    ".0%",
+    "Survival: share of rollouts in bounds to the end.",
+    lambda _, valid: valid[-1].astype(float),
+)
 
 
 @dataclass(frozen=True)
@@ -47,6 +65,7 @@ class System:
     in_bounds: Callable[[Array], Array]  # state [S] -> bool [], False ends a trajectory
     draw: Callable[[Array], Array]  # state [S] -> image [64, 64, 3] in [0, 1], no nuisance
     nuisance: Nuisance
+    outcome: Outcome = SURVIVAL
 
     @property
     def limits(self) -> Array:

@@ -95,3 +95,18 @@ def test_training_lowers_the_loss_and_compiles_once(random_frames):
 def test_a_bad_config_names_the_field_and_the_value(field, value):
     with pytest.raises(ValueError, match=rf"{field}: expected .*{value}"):
         DisentangleConfig(**{field: value})
+
+
+def test_some_patches_train_the_coordinate_decoder():
+    network = VAEConfig(channels=(4, 4), latents=2, image_size=16, decoder="coordinates", width=8)
+    config = DisentangleConfig(epochs=2, batch_size=8, patches=16, network=network, objective="H")
+    images = (jax.random.uniform(jax.random.key(0), (32, 16, 16, 3)) * 255).astype(jnp.uint8)
+    state = disentangle.initial_state(config, images, jax.random.key(1))
+    before = jax.tree.map(np.asarray, state.variables["params"])
+    losses = []
+    chunks = disentangle.disentangle(config, state, images, jax.random.key(2))
+    for last, metrics in chunks:  # noqa: B007
+        losses.append(float(metrics["reconstruction"]))
+    assert np.isfinite(losses).all()
+    moved = jax.tree.map(lambda a, b: bool((a != b).any()), before, last.variables["params"])
+    assert all(jax.tree.leaves(moved))

@@ -114,3 +114,27 @@ def test_wrong_shapes_are_refused():
     variables = init(SMALL, jax.random.key(0), (32, 32, 6), 1)
     with pytest.raises(ValueError, match="images"):
         resnet.apply(SMALL, variables, images()[0], False)
+
+
+def test_spatial_softmax_is_where_a_channel_is_high():
+    x = jnp.zeros((1, 5, 9, 2)).at[0, 1, 6, 0].set(50.0).at[0, 4, 0, 1].set(50.0)
+    found = resnet.spatial_softmax(x)
+    np.testing.assert_allclose(found, [[0.5, -1.0, -0.5, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(resnet.spatial_softmax(jnp.ones((1, 4, 4, 1))), 0.0, atol=1e-6)
+
+
+def test_places_and_hidden_layers_train_too():
+    config = ResNetConfig(4, "imagenet", 1, "spatial_softmax", (8, 6), "none")
+    variables = init(config, jax.random.key(0), (32, 32, 6), 2)
+    assert variables["params"]["hidden_1"]["kernel"].shape == (8, 8)  # x and y of four channels
+    assert variables["params"]["head"]["kernel"].shape == (6, 2)
+    assert "stage_2_block_1" not in variables["params"]
+
+    def loss(params):
+        return jnp.sum(
+            resnet.apply(config, {**variables, "params": params}, images(), True)[0] ** 2
+        )
+
+    # A norm-free block without biases: every layer gets a gradient.
+    for leaf in jax.tree.leaves(jax.grad(loss)(variables["params"])):
+        assert jnp.abs(leaf).max() > 0

@@ -34,7 +34,14 @@ CONFIG = PRESETS["smoke"]
 # Named draws that the policies of a run share, so that they differ in their views alone: the same
 # first weights, shuffles, rollouts' first nuisance, redrawn nuisance, and regression.
 SHARED = {"policy initial weights", "cloning", "evaluation", "copycat", "leakage"}
-ALONE = {"random", "expert initial states", "expert", "VAE initial weights", "VAE training"}
+ALONE = {
+    "random",
+    "expert initial states",
+    "expert",
+    "VAE initial weights",
+    "VAE training",
+    "nuisance share",
+}
 
 
 @pytest.mark.slow

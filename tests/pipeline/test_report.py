@@ -21,6 +21,7 @@ from jaxdeconf.pipeline import animation, findings
 from jaxdeconf.pipeline.report import Pictures, over_seeds, write_report, write_summary
 from jaxdeconf.systems.cartpole import riccati
 from jaxdeconf.systems.rollout import frames, rollout, sample_action
+from jaxdeconf.systems.system import SURVIVAL
 
 STATES, HORIZON, LATENTS, VALUES = 4, 3, 6, 5
 POLICIES = {"BcVanilla": 9.1, "BcManual": 1.3, "Masked": 1.5, "Reconstructed": 8.0}
@@ -31,7 +32,7 @@ def policy_of(loss: float) -> dict:
     per_epoch = [[e, loss * (1 + 3 * math.exp(-e / 4)), loss / (1 + 0.4 * e)] for e in epochs]
     return {
         "train_loss": 0.01 * loss,
-        "survival": min(1.0, 2.0 / loss),
+        "outcome": min(1.0, 2.0 / loss),
         "copycat": 0.1 * loss,
         "leakage": 0.1 * loss,
         "rollout_loss": {"mean": loss, "std": per_epoch[-1][2], "per_epoch": per_epoch},
@@ -53,6 +54,8 @@ def run_of(seed: int = 0) -> dict:
         "active": [True, True, True, True, False, False],
         "kl": [3.1, 2.7, 1.9, 1.2, 0.01, 0.002],
         "nuisance_correlation": [0.03, 0.05, 0.986, 0.11, 0.2, 0.02],
+        "nuisance_share": [0.01, -0.02, 0.97, 0.08, 0.05, 0.0],
+        "outcome": {name: getattr(SURVIVAL, name) for name in ("name", "form", "note")},
         "state_names": list(systems.get("cartpole").state_names),
         "action_names": list(systems.get("cartpole").action_names),
         "threshold": 1e-3,
@@ -66,7 +69,7 @@ def run_of(seed: int = 0) -> dict:
         "reconstruction": {"nuisance": 0.52, "elsewhere": 3.1},
         "expert": {
             "rollout_loss": 0.95,
-            "survival": 1.0,
+            "outcome": 1.0,
             "violation_rate": 0.031,
             "unconverged": 0.0004,
         },
@@ -195,7 +198,7 @@ def test_page_says_what_was_found(written: Path):
     text = text_of(written)
     for phrase in (
         "Of 6 latents, 4 are active; of these, Algorithm 1 masked o₃ (γ = 0.001).",
-        "o₃ has |Spearman| 0.99 with the previous action: it is the nuisance's latent.",
+        "The previous action explains 97 % of o₃ (|Spearman| 0.99): it is the nuisance's.",
         "Masked's rollout loss is 1.15 times BcManual's (goal: at most 1.5; reached).",
         "BcVanilla's rollout loss is 7.00 times BcManual's (goal: at least 3; reached).",
         "BcManual's rollout loss is 1.37 times the expert's (goal: at most 2; reached).",
@@ -210,7 +213,10 @@ def test_page_says_what_was_found(written: Path):
 @pytest.mark.parametrize(
     ("mask", "phrase"),
     [
-        ([True, False, True, False, False, False], "o₁ has |Spearman| 0.03"),
+        (
+            [True, False, True, False, False, False],
+            "explains 1 % of o₁ (|Spearman| 0.03): it is not the nuisance's alone.",
+        ),
         ([False] * 6, "The nuisance's o₃ was kept."),
     ],
 )
@@ -223,9 +229,9 @@ def test_a_wrong_mask_is_said_to_miss(mask: list[bool], phrase: str):
 def test_a_missed_ratio_is_said_to_miss():
     run = run_of()
     run["policies"]["Masked"]["rollout_loss"]["mean"] = 1.3 * 1.6
-    run["nuisance_correlation"] = [0.5] * 6
+    run["nuisance_share"] = [0.5] * 6
     sentences = findings.paragraph(run)
-    assert "No active latent reaches |Spearman| 0.9" in " ".join(sentences)
+    assert "The previous action explains 90 % of no active latent" in " ".join(sentences)
     assert sentences[-1] == (
         "Goals missed: mask exactly the nuisance's latents; Masked / BcManual."
     )
@@ -257,7 +263,7 @@ def test_what_diverged_or_is_missing_is_said(tmp_path: Path, pictures: Pictures)
     del run["policies"]["BcManual"]["rollout_loss"]["per_epoch"]
     del run["policies"]["Reconstructed"]
     run["policies"]["Masked"]["train_loss"] = nan
-    run["state_observation"][1][2] = run["nuisance_correlation"][5] = run["kl"][5] = nan
+    run["state_observation"][1][2] = run["nuisance_share"][5] = run["kl"][5] = nan
     run["p_values"]["state_observation"][1][2] = nan
     run["threshold"] = 0.0
     write_report(tmp_path, run, pictures)

@@ -30,7 +30,7 @@ def test_the_experts_faults_are_counted():
     judged = results.judge_expert(run, collected)
     assert float(judged["violation_rate"]) == pytest.approx(3 / 8)
     assert float(judged["unconverged"]) == pytest.approx(4 / 10)
-    assert float(judged["survival"]) == 1.0
+    assert float(judged["outcome"]) == 1.0
 
 
 def test_peak_memory_is_the_processs_own():

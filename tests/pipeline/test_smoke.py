@@ -27,7 +27,7 @@ def test_it_says_what_it_found_and_is_quiet_beside(done):
 def test_results_hold_what_is_promised(results):
     latents, states, actions, horizon = 4, 4, 1, 3
     assert (results["system"], results["preset"], results["seed"]) == ("cartpole", "smoke", 0)
-    for name in ("mask", "active", "kl", "nuisance_correlation"):
+    for name in ("mask", "active", "kl", "nuisance_correlation", "nuisance_share"):
         assert np.shape(results[name]) == (latents,)
     assert np.shape(results["state_observation"]) == (states, latents)
     assert np.shape(results["state_action"]) == (states, horizon, actions)
@@ -35,7 +35,7 @@ def test_results_hold_what_is_promised(results):
     assert 0 <= results["expert"]["violation_rate"] < 1
     assert set(results["policies"]) == set(POLICIES)
     for policy in results["policies"].values():
-        assert 0 <= policy["survival"] <= 1
+        assert 0 <= policy["outcome"] <= 1
         assert 0 <= policy["copycat"] <= 2
         assert policy["leakage"] <= 1
         assert policy["train_loss"] > 0
