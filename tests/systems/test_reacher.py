@@ -133,13 +133,18 @@ def test_costs_have_exact_gradients_and_gauss_newton_hessians():
             np.testing.assert_allclose(hessian, 2 * jacobian.T @ jacobian, rtol=0, atol=1e-12)
 
 
-def test_expert_plans_cost_no_more_than_the_best_of_eight():
+@pytest.fixture(scope="module")
+def plans():
+    """The golden states' plans and those of 400 of the intervention's own, compiled once."""
+    sampled = jax.vmap(SYSTEM.sample_initial)(jax.random.split(jax.random.key(1), 400))
+    states = np.concatenate([golden_states(), sampled])
+    return states, plan(SYSTEM, states, config=QUICK)
+
+
+def test_expert_plans_cost_as_the_best_of_eight(plans):
     optima = np.array([case["cost"] for case in GOLDEN["reacher_rk4_N30"]])
-    plans = plan(SYSTEM, golden_states(), config=QUICK)
-    assert plans.actions.shape == (10, 30, 2)
-    np.testing.assert_array_less(plans.cost, optima * (1 + 1e-4))
-    # In one of them, the best of ours is a posture that none of IPOPT's eight starts ends in.
-    np.testing.assert_array_less(optima * (1 - 1e-4), plans.cost)
+    assert plans[1].actions.shape == (410, 30, 2)
+    np.testing.assert_allclose(plans[1].cost[:10], optima, rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -197,12 +202,9 @@ def test_initial_states_are_independent_and_within_their_ranges():
     assert np.abs(np.corrcoef(unit.T) - np.eye(6)).max() < 0.05
 
 
-@pytest.mark.slow
-def test_first_actions_depend_on_target_and_arm():
+def test_first_actions_depend_on_target_and_arm(plans):
     """What Algorithm 1 needs, and what whole circles of bearings would not give."""
-    keys = jax.random.split(jax.random.key(1), 400)
-    states = jax.vmap(SYSTEM.sample_initial)(keys)
-    actions = plan(SYSTEM, states, config=QUICK).actions[:, 0]
+    states, actions = plans[0][10:], plans[1].actions[10:, 0]
     d = np.asarray(hoeffding_d(states, actions)).max(axis=1)
     assert (d[[0, 1, 2, 4]] > 3 * threshold(400, 36, 0.05)).all()
 
