@@ -38,6 +38,7 @@ PRESETS = {
             objective="H",
             beta=2.0,
             patches=64,
+            start_components=16,
             network=VAEConfig(
                 channels=(4, 4, 8, 8, 8),
                 latents=12,
@@ -62,18 +63,19 @@ PRESETS = {
         preset="laptop",
         collect=CollectConfig(
             random_trajectories=2000,
-            expert_trajectories=1150,
+            expert_trajectories=1000,
             held_out_trajectories=250,
             random_steps=20,
         ),
         expert=_EXPERT,
         vae=DisentangleConfig(
-            epochs=6,
+            epochs=8,
             learning_rate=1e-3,
-            decay=0.7,
+            decay=0.9,
             objective="H",
             beta=2.0,
             patches=256,
+            start_components=16,
             network=VAEConfig(
                 channels=(8, 16, 32, 64), latents=12, linear_path=True, decoder="coordinates"
             ),

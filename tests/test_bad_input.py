@@ -198,6 +198,7 @@ BAD = [
     ("beta", "-0.5", lambda: DisentangleConfig(beta=-0.5)),
     ("capacity", "nan", lambda: DisentangleConfig(capacity=NAN)),
     ("capacity_steps", "0", lambda: DisentangleConfig(capacity_steps=0)),
+    ("start_components", "2", lambda: DisentangleConfig(start_components=2)),
     ("patches", "64", lambda: DisentangleConfig(patches=64)),
     ("patches", "1025", lambda: DisentangleConfig(patches=1025)),
     ("images", "shape (6, 32, 64, 3)", lambda: begin(IMAGES[:, :32], KEY)),

@@ -46,6 +46,8 @@ class DisentangleConfig(FitConfig):
     # 2×2 patches, drawn at random, that a step compares; None, the paper's, is the whole image.
     # Ours, for a CPU: a quarter of the image costs a quarter. Only with the decoder by place.
     patches: int | None = None
+    # Independent components among which a linear start finds its latents; None: as many as those.
+    start_components: int | None = None
     network: vae.VAEConfig = field(default_factory=vae.VAEConfig)
 
     def __post_init__(self):
@@ -56,6 +58,9 @@ class DisentangleConfig(FitConfig):
         checks.not_negative("capacity", self.capacity)
         checks.integer("capacity_steps", self.capacity_steps)
         checks.instance("network", self.network, vae.VAEConfig)
+        if self.start_components is not None:
+            least = self.network.latents
+            checks.integer("start_components", self.start_components, least=least)
         if self.patches is not None:
             checks.integer("patches", self.patches, most=self.network.patches)
             if self.network.decoder != "coordinates":
@@ -80,7 +85,8 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
         count = min(_START_FRAMES, len(images))
         chosen = jax.random.choice(choice_key, len(images), (count,), replace=False)
         flat = raster.dequantize(images[chosen]).reshape(count, -1)
-        linear = linear_start(flat, config.network.latents, start_key)
+        latents, among = config.network.latents, config.start_components
+        linear = linear_start(flat, latents, start_key, among)
         variables["params"]["linear"] = {
             "encoder": linear.encoder,
             "decoder": linear.decoder,

@@ -68,24 +68,31 @@ def independent_rotation(white: Array, key: Array, iterations: int = 200) -> Arr
     return jax.lax.fori_loop(0, iterations, improve, first)
 
 
-@partial(jax.jit, static_argnames="count")
-def linear_start(images: Array, count: int, key: Array) -> LinearStart:
+@partial(jax.jit, static_argnames=("count", "among"))
+def linear_start(images: Array, count: int, key: Array, among: int | None = None) -> LinearStart:
     """Fits the start to images.
 
     Args:
       images: [n, P] float; a few thousand are enough.
       count: O.
       key: random starts of both iterations.
+      among: of how many components, made independent of one another, to keep the O that change the
+        image most; None is O. More separate better: a source that the leading O principal
+        components hold only a part of is mixed with what they hold of others.
     Raises:
-      ValueError: if there are fewer images than components.
+      ValueError: if there are fewer images than components, or fewer of these than O.
     """
     images = checks.array("images", images, "[n, P]", (None, None), of="floats")
     checks.integer("count", count, most=min(images.shape))
+    among = checks.integer("among", among or count, least=count, most=min(images.shape))
     checks.key("key", key)
     subspace_key, rotation_key = jax.random.split(key)
     mean = images.mean(axis=0)
     centred = images - mean
-    vectors, variances = principal_components(centred, count, subspace_key)
+    vectors, variances = principal_components(centred, among, subspace_key)
     scale = jnp.sqrt(jnp.maximum(variances, 1e-12))
     rotation = independent_rotation(centred @ (vectors / scale), rotation_key)
+    if among > count:
+        power = ((vectors * scale) ** 2).sum(axis=0) @ rotation**2  # of each, in the image
+        rotation = rotation[:, jnp.argsort(-power)[:count]]
     return LinearStart(mean, (vectors / scale) @ rotation, rotation.T @ (vectors * scale).T)

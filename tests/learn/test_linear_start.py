@@ -49,3 +49,25 @@ def test_sources_of_equal_variance_are_parted():
     correlation = np.abs(np.corrcoef(np.asarray(z).T, np.asarray(sources).T)[:SOURCES, SOURCES:])
     assert (correlation.max(axis=0) > 0.995).all()
     assert (np.sort(correlation, axis=0)[:-1] < 0.08).all()
+
+
+def purity(x, sources, among):
+    """|Correlation| [2, 3] of the two components kept with the three sources."""
+    start = linear_start(x, 2, jax.random.key(5), among)
+    z = (x - start.mean) @ start.encoder
+    assert z.shape == (SAMPLES, 2)
+    return np.abs(np.corrcoef(np.asarray(z).T, np.asarray(sources).T)[:2, 2:])
+
+
+def test_components_among_more_are_purer():
+    # Two principal components of three alike hold a part of each source; among three, two are pure.
+    sources, x = mixture((2.0, 2.0, 2.0))
+    assert purity(x, sources, None).max(axis=1).min() < 0.95
+    assert purity(x, sources, 3).max(axis=1).min() > 0.995
+
+
+def test_of_components_among_more_the_strongest_are_kept():
+    sources, x = mixture((1.0, 3.0, 2.0))
+    found = purity(x, sources, 3)
+    np.testing.assert_array_equal(found.argmax(axis=1), [1, 2])  # the strongest first
+    assert found.max(axis=1).min() > 0.995
