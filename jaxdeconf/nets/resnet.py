@@ -32,14 +32,14 @@ class ResNetConfig:
     # "cifar": 3×3, full resolution (the usual pre-activation form, 11.17 M parameters).
     # "imagenet": 7×7 stride 2 and a 3×3 stride 2 max-pool; about nine times cheaper, for a CPU.
     stem: Literal["cifar", "imagenet"] = "cifar"
+    norm: Literal["batch", "none"] = "batch"  # He et al.: batch normalisation
+    dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
     stages: int = 4  # He et al.; fewer keep the last one's resolution high
     # What becomes of the last stage's channels. "mean": of each over the image, He et al.'s.
     # "spatial_softmax": where each is high, as expected x and y under a softmax over the image
     # (Levine et al. 2016): positions, where the policy needs no classes.
     pool: Literal["mean", "spatial_softmax"] = "mean"
     hidden: tuple[int, ...] = ()  # widths of layers between pool and output; He et al.: none
-    norm: Literal["batch", "none"] = "batch"  # He et al.: batch normalisation
-    dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
 
     def __post_init__(self):
         checks.integer("width", self.width)

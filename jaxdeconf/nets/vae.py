@@ -38,11 +38,11 @@ class VAEConfig:
     latents: int = 3  # the paper's, for CartPole
     image_size: int = 64  # the paper's: frames are 64 × 64 × 3
     linear_path: bool = False  # ours: off is the paper's network
+    norm: Literal["batch", "none"] = "batch"  # PyTorch-VAE: batch normalisation
+    dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
     # "coordinates" is ours: by place (nets/coordinates.py), for shapes that move and turn.
     decoder: Literal["convolutions", "coordinates"] = "convolutions"
     width: int = 64  # of the decoder by place
-    norm: Literal["batch", "none"] = "batch"  # PyTorch-VAE: batch normalisation
-    dtype: Literal["float32", "bfloat16"] = "float32"  # of activations; parameters stay float32
 
     def __post_init__(self):
         if not isinstance(self.channels, tuple) or not self.channels:

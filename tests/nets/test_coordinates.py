@@ -1,5 +1,7 @@
 """The decoder by place: patches, places, and that a part of an image is drawn as the whole is."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,14 +32,7 @@ def test_places_are_the_patches_centres():
 
 @pytest.mark.parametrize("linear_path", [False, True])
 def test_some_patches_are_those_of_the_whole_image(linear_path):
-    config = VAEConfig(
-        channels=(4, 4),
-        latents=3,
-        image_size=16,
-        linear_path=linear_path,
-        decoder="coordinates",
-        width=8,
-    )
+    config = replace(CONFIG, linear_path=linear_path)
     variables = vae.init(config, jax.random.key(0))
     keys = iter(jax.random.split(jax.random.key(1), 100))
     params = jax.tree.map(
@@ -55,8 +50,7 @@ def test_some_patches_are_those_of_the_whole_image(linear_path):
 
 
 def test_beside_a_linear_path_it_starts_silent():
-    config = VAEConfig(channels=(4, 4), latents=3, image_size=16, linear_path=True)
-    config = VAEConfig(**{**vars(config), "decoder": "coordinates"})
+    config = replace(CONFIG, linear_path=True)
     variables = vae.init(config, jax.random.key(0))
     image, _ = vae.decode(config, variables, jnp.ones((2, 3)), train=True)
     np.testing.assert_array_equal(image, 0.0)

@@ -124,7 +124,7 @@ def test_spatial_softmax_is_where_a_channel_is_high():
 
 
 def test_places_and_hidden_layers_train_too():
-    config = ResNetConfig(4, "imagenet", 1, "spatial_softmax", (8, 6), "none")
+    config = ResNetConfig(4, "imagenet", "none", stages=1, pool="spatial_softmax", hidden=(8, 6))
     variables = init(config, jax.random.key(0), (32, 32, 6), 2)
     assert variables["params"]["hidden_1"]["kernel"].shape == (8, 8)  # x and y of four channels
     assert variables["params"]["head"]["kernel"].shape == (6, 2)
