@@ -107,11 +107,14 @@ def r_squared(
     return _shares(flat[0], train_signal, flat[1], test_signal, key, components).mean()
 
 
-def _shares(train, train_signal, test, test_signal, key, components: int) -> Array:
+def _shares(
+    train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array, components: int
+) -> Array:
     """[A] R² of each signal on test frames [m, P]; 0 for one that is constant."""
     predicted = _predict(train, train_signal, test, key, components)
     error, variance = ((predicted - test_signal) ** 2).mean(axis=0), test_signal.var(axis=0)
-    return jnp.where(variance > 0.0, 1.0 - error / jnp.where(variance > 0.0, variance, 1.0), 0.0)
+    varies = variance > 0.0
+    return jnp.where(varies, 1.0 - error / jnp.where(varies, variance, 1.0), 0.0)
 
 
 def explained(signal: Array, latents: Array, key: Array) -> Array:

@@ -85,8 +85,7 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
         count = min(_START_FRAMES, len(images))
         chosen = jax.random.choice(choice_key, len(images), (count,), replace=False)
         flat = raster.dequantize(images[chosen]).reshape(count, -1)
-        latents, among = config.network.latents, config.start_components
-        linear = linear_start(flat, latents, start_key, among)
+        linear = linear_start(flat, config.network.latents, start_key, config.start_components)
         variables["params"]["linear"] = {
             "encoder": linear.encoder,
             "decoder": linear.decoder,
@@ -109,14 +108,13 @@ def objective(config: DisentangleConfig) -> Loss:
     def loss(variables: Variables, images: Array, indices: Array, key: Array, step: Array):
         batch = raster.dequantize(images[indices])
         mean, log_variance, stats = vae.encode(config.network, variables, batch, train=True)
-        if config.patches is None:
-            latents = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape)
+        noise_key, patch_key = (key, None) if config.patches is None else jax.random.split(key)
+        latents = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(noise_key, mean.shape)
+        if patch_key is None:
             decoded, stats = vae.decode(
                 config.network, {**variables, "batch_stats": stats}, latents, train=True
             )
         else:
-            noise_key, patch_key = jax.random.split(key)
-            latents = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(noise_key, mean.shape)
             chosen = jax.random.permutation(patch_key, config.network.patches)[: config.patches]
             decoded = vae.decode_patches(config.network, variables, latents, chosen)
             batch = coordinates.to_patches(batch)[:, chosen]

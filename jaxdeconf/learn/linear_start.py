@@ -84,7 +84,8 @@ def linear_start(images: Array, count: int, key: Array, among: int | None = None
     """
     images = checks.array("images", images, "[n, P]", (None, None), of="floats")
     checks.integer("count", count, most=min(images.shape))
-    among = checks.integer("among", among or count, least=count, most=min(images.shape))
+    among = count if among is None else among
+    checks.integer("among", among, least=count, most=min(images.shape))
     checks.key("key", key)
     subspace_key, rotation_key = jax.random.split(key)
     mean = images.mean(axis=0)

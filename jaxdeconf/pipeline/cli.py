@@ -174,21 +174,19 @@ def summary(results: dict, directory: Path) -> str:
         f"{findings.subscript('o', latent + 1)} ({share[latent]:.0%} the previous action's)"
         for latent in findings.masked(results)
     )
-    outcome = results["outcome"]
 
-    def drove(name: str, loss: float, came_to: float) -> str:
-        shown = f"{outcome['name']} {came_to:{outcome['form']}}"
-        return f"  {name:<14} rollout loss {loss:8.3f}   {shown:>14}"
+    def drove(name: str, loss: float, judged: dict) -> str:
+        came_to = f"{results['outcome']['name']} {findings.outcome(results, judged)}"
+        return f"  {name:<14} rollout loss {loss:8.3f}   {came_to:>14}"
 
-    expert = results["expert"]
     lines = [
         f"{results['system']}, {results['preset']}, seed {results['seed']}: "
         f"masked latents: {shown or 'none'}",
-        drove("Expert", expert["rollout_loss"], expert["outcome"]),
+        drove("Expert", results["expert"]["rollout_loss"], results["expert"]),
     ]
     for name, policy in results["policies"].items():
         judged = f"   copycat {policy['copycat']:.3f}   leakage {policy['leakage']:.2f}"
-        lines.append(drove(name, policy["rollout_loss"]["mean"], policy["outcome"]) + judged)
+        lines.append(drove(name, policy["rollout_loss"]["mean"], policy) + judged)
     return "\n".join([*lines, f"  report: {directory / 'report.html'}"])
 
 

@@ -64,6 +64,14 @@ def percent(share: float | None) -> str:
     return f"{100.0 * share:.3g} %"
 
 
+def outcome(results: dict, judged: dict) -> str:
+    """What the rollouts of a policy, or of the expert, came to, in its system's own form."""
+    value = judged.get("outcome")
+    if value is None or not math.isfinite(value):
+        return number(value)
+    return format(value, results["outcome"]["form"])
+
+
 def mean_loss(results: dict, policy: str) -> float:
     """The rollout loss of a policy or of the expert; NaN if the run does not have it."""
     if policy == "Expert":

@@ -121,19 +121,16 @@ def over_seeds(runs: Sequence[dict], policy: str) -> list[list[float]]:
 
 def _policies(results: dict) -> Iterator[str]:
     rows, form = [], results["outcome"]
-
-    def outcome(of: dict) -> str:
-        return format(of["outcome"], form["form"])
-
     for name in [name for name in POLICIES if name in results["policies"]]:
         policy = results["policies"][name]
         rollout = policy.get("rollout_loss", {})
         mean, std = loss(rollout.get("mean")), number(rollout.get("std"))
         scores = [fixed(policy.get(score), 3) for score in ("copycat", "leakage")]
-        rest = [outcome(policy), *scores, loss(policy.get("train_loss"))]
+        rest = [findings.outcome(results, policy), *scores, loss(policy.get("train_loss"))]
         rows.append([name, f"{mean} ± {std}", *rest])
     expert = results["expert"]
-    rows.append(["Expert", loss(expert["rollout_loss"]), outcome(expert), "–", "–", "–"])
+    came_to = findings.outcome(results, expert)
+    rows.append(["Expert", loss(expert["rollout_loss"]), came_to, "–", "–", "–"])
     yield page.table(
         ["", "rollout loss", form["name"], "copycat", "leakage R²", "train loss"],
         rows,
