@@ -62,25 +62,55 @@ def find_mask(
         checks.same_length(name, len(given), shapes[0][0], "trajectories")
     (n, states), (_, latents), (_, horizon, controls) = shapes
     checks.integer("trajectories in initial_states", n, least=5)
-    checks.not_negative("threshold", threshold)
-    if alpha is not None:
-        tests = states * (latents + horizon * controls)
-        threshold = max(threshold, null_threshold(n, tests, alpha))
+    gamma = effective_threshold(threshold, alpha, n, states * (latents + horizon * controls))
     d = hoeffding_d(initial_states, _side_by_side(observations, actions))
     state_observation = d[:, :latents]
     state_action = d[:, latents:].reshape(states, horizon, controls)
-    potential_cause = jnp.einsum(
-        "so,sha->oha", state_observation > threshold, state_action > threshold
-    )
+    potential_cause = potential_causes(state_observation, state_action, gamma)
     return Mask(
         mask=~potential_cause.any(axis=(1, 2)),
         state_observation=state_observation,
         state_action=state_action,
         potential_cause=potential_cause,
-        threshold=threshold,
+        threshold=gamma,
         p_state_observation=p_value(state_observation, n),
         p_state_action=p_value(state_action, n),
     )
+
+
+def effective_threshold(
+    threshold: float, alpha: float | None, trajectories: int, tests: int
+) -> float:
+    """The D above which Algorithm 1 calls a pair dependent, as `find_mask` says.
+
+    Args:
+      threshold: the paper's gamma.
+      alpha: family-wise error, or None for the bare gamma.
+      trajectories: N.
+      tests: in the family.
+    """
+    checks.not_negative("threshold", threshold)
+    if alpha is None:
+        return threshold
+    return max(threshold, null_threshold(trajectories, tests, alpha))
+
+
+def potential_causes(
+    state_observation: ArrayLike, state_action: ArrayLike, threshold: ArrayLike
+) -> Array:
+    """Which observation may cause which action: some state is dependent on both.
+
+    Args:
+      state_observation: [S, O] Hoeffding's D.
+      state_action: [S, H, A] Hoeffding's D.
+      threshold: [...], any shape.
+    Returns:
+      [..., O, H, A] bool; what may cause nothing is masked.
+    """
+    gamma = jnp.asarray(threshold)[..., None, None]
+    observed = jnp.asarray(state_observation) > gamma
+    acted = jnp.asarray(state_action) > gamma[..., None]
+    return jnp.einsum("...so,...sha->...oha", observed, acted)
 
 
 def _side_by_side(observations: ArrayLike, actions: ArrayLike) -> Array | np.ndarray:

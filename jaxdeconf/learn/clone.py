@@ -5,8 +5,7 @@ Shapes: N trajectories, T time, B batch, L = 2 frames, A action.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -30,6 +29,8 @@ class CloneConfig(FitConfig):
     # step's velocity, so its error is ten times the others' and cannot be learnt.
     huber: float | None = None
     network: resnet.ResNetConfig = field(default_factory=resnet.ResNetConfig)
+
+    TRACED: ClassVar[tuple[str, ...]] = (*FitConfig.TRACED, "huber")
 
     def __post_init__(self):
         super().__post_init__()
@@ -81,7 +82,6 @@ def action_error(config: CloneConfig, predicted: Array, actions: Array) -> Array
     )
 
 
-@cache
 def objective(config: CloneConfig) -> Loss:
     """The error of the action, for `fit`; data are Demonstrations."""
 
@@ -110,7 +110,7 @@ def clone(
     frames = checks.array("frames", data.frames, "[n, H, W, 3]", (None, None, None, 3), of="uint8")
     checks.array("first", data.first, f"[{len(frames)}]", (len(frames),), of="bool")
     checks.array("actions", data.actions, f"[{len(frames)}, A]", (len(frames), None), finite=True)
-    return fit(objective(config), state, data, len(data.actions), key, config, stops)
+    return fit(objective, state, data, len(data.actions), key, config, stops)
 
 
 def act(config: resnet.ResNetConfig, variables: Variables, previous: Array, current: Array):

@@ -7,8 +7,8 @@ divergence weighs β · M_N. Shapes: n frames, B batch, P pixels, O latents.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cache, partial
-from typing import Literal
+from functools import partial
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +49,8 @@ class DisentangleConfig(FitConfig):
     # Independent components among which a linear start finds its latents; None: as many as those.
     start_components: int | None = None
     network: vae.VAEConfig = field(default_factory=vae.VAEConfig)
+
+    TRACED: ClassVar[tuple[str, ...]] = (*FitConfig.TRACED, "beta", "capacity")
 
     def __post_init__(self):
         super().__post_init__()
@@ -101,7 +103,6 @@ def kl_divergence(mean: Array, log_variance: Array) -> Array:
     return 0.5 * (mean**2 + jnp.exp(log_variance) - log_variance - 1.0)
 
 
-@cache
 def objective(config: DisentangleConfig) -> Loss:
     """The β-VAE loss of a config, for `fit`; data are images, uint8 [n, 64, 64, 3]."""
 
@@ -136,7 +137,7 @@ def disentangle(
     """Trains the β-VAE on images, uint8 [n, 64, 64, 3]; yields as `fit` does."""
     checks.instance("config", config, DisentangleConfig)
     _check_images(config.network, images)
-    return fit(objective(config), state, images, len(images), key, config)
+    return fit(objective, state, images, len(images), key, config)
 
 
 @partial(jax.jit, static_argnums=0)

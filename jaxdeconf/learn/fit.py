@@ -8,7 +8,7 @@ go on from, to the last bit.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,9 @@ Variables = dict[str, Any]  # {"params": trained, "batch_stats": carried along}
 Loss = Callable[[Variables, Any, Array, Array, Array], tuple[Array, tuple[Any, dict[str, Array]]]]
 
 
+# A config -> its loss. Numbers of the config may be traced (see `Models`), so it must not hash it.
+Objective = Callable[[Any], Loss]
+
 _MOST_STEPS = 2**31 - 1  # the step is int32
 
 
@@ -35,10 +38,15 @@ class FitConfig:
     learning_rate: float = 1e-3  # Adam's, at the start
     decay: float = 0.96  # the learning rate's factor an epoch
     chunk: int = 64  # steps a jitted call; ours: seconds on a CPU, the bar's and a stop's grain
+    weight_decay: float = 0.0  # decoupled from the gradient (Loshchilov & Hutter 2019); ours: none
+
+    # Fields that may differ between models of one program.
+    TRACED: ClassVar[tuple[str, ...]] = ("learning_rate", "decay", "weight_decay")
 
     def __post_init__(self):
         for name in ("epochs", "learning_rate", "decay"):
             checks.positive(name, getattr(self, name))
+        checks.not_negative("weight_decay", self.weight_decay)
         for name in ("batch_size", "chunk"):
             checks.integer(name, getattr(self, name))
 
@@ -81,21 +89,21 @@ def learning_rate(config: FitConfig, steps_per_epoch: int, step: Array) -> Array
     return config.learning_rate * config.decay ** (step / steps_per_epoch)
 
 
-@partial(jax.jit, static_argnames=("loss", "config", "samples"), donate_argnames="state")
-def _chunk(
+def train(
     loss: Loss,
     config: FitConfig,
     samples: int,
     state: FitState,
     data: Any,
+    first_sample: Array | int,
     key: Array,
     length: Array,
 ) -> tuple[FitState, dict[str, Array]]:
-    """`length` steps within one epoch, and the mean of their metrics."""
+    """`length` steps within one epoch, and the mean of their metrics; config may be traced."""
     steps_per_epoch = config.steps_per_epoch(samples)
     shuffle_key, noise_key = jax.random.split(key)
     epoch = state.step // steps_per_epoch
-    order = jax.random.permutation(jax.random.fold_in(shuffle_key, epoch), samples)
+    order = jax.random.permutation(jax.random.fold_in(shuffle_key, epoch), samples) + first_sample
     adam = optax.scale_by_adam()
 
     def advance(state: FitState) -> tuple[FitState, dict[str, Array]]:
@@ -113,6 +121,8 @@ def _chunk(
             params
         )
         updates, moments = adam.update(gradient, state.moments)
+        if isinstance(config.weight_decay, Array) or config.weight_decay:
+            updates = jax.tree.map(lambda u, p: u + config.weight_decay * p, updates, params)
         rate = learning_rate(config, steps_per_epoch, state.step)
         params = jax.tree.map(lambda p, u: p - rate * u, params, updates)
         variables = {**state.variables, "params": params, "batch_stats": batch_stats}
@@ -129,8 +139,31 @@ def _chunk(
     return state, jax.tree.map(lambda a: a / length, total)
 
 
+@partial(jax.jit, static_argnames=("objective", "config", "samples"), donate_argnames="state")
+def _chunk(
+    objective: Objective,
+    config: FitConfig,
+    samples: int,
+    state: FitState,
+    data: Any,
+    key: Array,
+    length: Array,
+) -> tuple[FitState, dict[str, Array]]:
+    return train(objective(config), config, samples, state, data, 0, key, length)
+
+
+def lengths(config: FitConfig, samples: int, step: int, stops: Sequence[int]) -> Iterator[int]:
+    """The lengths of the chunks from a step on."""
+    per_epoch, last = config.steps_per_epoch(samples), config.steps(samples)
+    while step < last:
+        length = min(config.chunk, per_epoch - step % per_epoch, last - step)
+        length = min([length, *(stop - step for stop in stops if stop > step)])
+        step += length
+        yield length
+
+
 def fit(
-    loss: Loss,
+    objective: Objective,
     state: FitState,
     data: Any,
     samples: int,
@@ -141,10 +174,10 @@ def fit(
     """Trains, yielding at every chunk's edge; chunks end where an epoch ends.
 
     Args:
-      loss: (variables, data, indices [B], key, step) -> (loss, (batch_stats, metrics)).
+      objective: config -> loss; the same function whenever the same program is meant.
       state: from `start`, or one that was yielded before: training goes on from its step as if it
         had never stopped. Its buffers are donated.
-      data: any pytree of arrays on the device; `loss` picks what `indices` name.
+      data: any pytree of arrays on the device; the loss picks what `indices` name.
       samples: how many there are to index.
       key: shuffles and whatever noise the loss draws.
       config: how long and how fast.
@@ -157,11 +190,6 @@ def fit(
     checks.instance("state", state, FitState)
     checks.key("key", key)
     checks.instance("config", config, FitConfig)
-    per_epoch, last = config.steps_per_epoch(samples), config.steps(samples)
-    step = int(state.step)
-    while step < last:
-        length = min(config.chunk, per_epoch - step % per_epoch, last - step)
-        length = min([length, *(stop - step for stop in stops if stop > step)])
-        state, metrics = _chunk(loss, config, samples, state, data, key, jnp.int32(length))
-        step += length
+    for length in lengths(config, samples, int(state.step), stops):
+        state, metrics = _chunk(objective, config, samples, state, data, key, jnp.int32(length))
         yield state, metrics

@@ -32,7 +32,7 @@ def test_the_network_sees_the_last_frame_and_a_blank_one_first(monkeypatch):
 
     monkeypatch.setattr(resnet, "apply", apply)
     indices = jnp.array([0, 1, 8, 15])
-    loss = clone.objective.__wrapped__(CONFIG)
+    loss = clone.objective(CONFIG)
     value, _ = loss({}, data, indices, jax.random.key(0), jnp.int32(0))
     frames = np.asarray(data.frames, np.float32) / 255
     np.testing.assert_allclose(seen["images"][..., 3:], frames[np.asarray(indices)], atol=1e-6)
