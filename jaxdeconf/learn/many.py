@@ -63,13 +63,15 @@ def fit_many(
         )
     for name in models.numbers:
         checks.one_of("numbers", name, config.TRACED)
-    # Placed at once as a chunk leaves them: other places would be another compilation.
-    models, data = jax.device_put((models, data), NamedSharding(mesh, PartitionSpec(AXIS)))
+    split = NamedSharding(mesh, PartitionSpec(AXIS))
+    models, data = jax.device_put((models, data), split)
     state, rest = models.state, models._replace(state=None)  # type: ignore
     for length in lengths(config, samples, 0, ()):
         state, metrics = _chunk(
             objective, config, samples, mesh, at_once, state, rest, data, jnp.int32(length)
         )
+        # On one device XLA calls the same placement another name, which would compile again.
+        state = jax.device_put(state, split)
         yield state, metrics
 
 

@@ -29,7 +29,7 @@ def least_squares(config):
     def loss(variables, data, indices, key, step):
         x, y = data
         error = x[indices] @ variables["params"]["w"] - y[indices]
-        return jnp.mean(error**2), (0, {"noise": jax.random.uniform(key)})
+        return jnp.mean(error**2), (variables["batch_stats"], {"noise": jax.random.uniform(key)})
 
     return loss
 
