@@ -7,7 +7,7 @@ import io
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -119,10 +119,19 @@ def _one_line(box: str) -> str:
 
 def _run(asked: Arguments) -> int:
     directory = asked.resume or asked.out or _default_directory(asked)
+    return guarded(lambda interruption: _run_seeds(asked, directory, interruption), directory)
+
+
+def guarded(work: Callable[[Interruption], None], directory: Path) -> int:
+    """Does the work of a command line in a run's directory; says in one line what stops it.
+
+    Returns:
+      The exit code, as `main` does.
+    """
     advice, interruption = f"go on with --resume {directory}", Interruption()
     try:
         with interruption.listening(f"stopped at once; {advice}"):
-            _run_seeds(asked, directory, interruption)
+            work(interruption)
     except Interrupted as stop:
         print(f"interrupted; {advice}", file=sys.stderr)
         return stop.exit_code

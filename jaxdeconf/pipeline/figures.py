@@ -29,7 +29,7 @@ COLORS = {
 }
 INK, FAINT = "#222222", "#8A8A8A"
 MASKED = COLORS["Masked"]
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "text.color": INK,
@@ -53,7 +53,7 @@ Curve = Sequence[Sequence[float]]  # [[epoch, mean, std], ...]
 def save(figure: Figure, path: Path) -> None:
     """Writes a figure as PNG, in this module's style whatever the user's matplotlibrc says."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure.savefig(path)
 
 
@@ -69,7 +69,7 @@ def dependence(results: dict) -> Figure:
     states, horizon, width = actions.shape
     gamma = results["threshold"]
     floor = gamma / 100.0 or 1e-5
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         columns = [latents.shape[1], horizon * width]
         size = (max(6.4, 2.9 + 0.62 * sum(columns)), 1.9 + 0.5 * states + 0.9 * (width > 1))
         figure = Figure(size, layout="constrained")
@@ -149,7 +149,7 @@ def rollout_loss(curves: Mapping[str, Curve], expert: float, spread: str) -> Fig
       expert: the expert's rollout loss on the same initial states.
       spread: what the standard deviation is over, for the label.
     """
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(6.8, 3.9), layout="constrained")
         axes = figure.subplots()
         seen = [expert]
@@ -220,9 +220,9 @@ def contact_sheet(
         y, x = row * pitch, column * pitch
         image = images[row, column].repeat(zoom, axis=0).repeat(zoom, axis=1)
         sheet[y : y + zoom * size, x : x + zoom * size] = image
-    left, top, margin, dpi = 190, 64 if columns else 8, 8, _STYLE["figure.dpi"]
+    left, top, margin, dpi = 190, 64 if columns else 8, 8, STYLE["figure.dpi"]
     height, width = sheet.shape[0] + top + margin, sheet.shape[1] + left + margin
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(width / dpi, height / dpi))
         box = (left / width, margin / height, sheet.shape[1] / width, sheet.shape[0] / height)
         axes = figure.add_axes(box)

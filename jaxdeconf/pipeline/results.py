@@ -48,12 +48,11 @@ def judge_latents(
     config = run.config.vae.network
     mean, _ = disentangle.encode(config, vae.variables, images)
     correlation = jnp.abs(leakage.spearman(mean, actions)).max(axis=1)
-    signal, some = actions / run.system.limits, slice(0, 2 * _JUDGE_FRAMES)
-    view, parameters = view_of(run, "Reconstructed", vae, found)
+    view, parameters = view_of(run, "Reconstructed", vae, found.mask)
     images = images[:_JUDGE_FRAMES]
     error = raster.dequantize(_seen(view, parameters, images)) - raster.dequantize(images)
     where = raster.dequantize(images) != raster.dequantize(
-        _seen(*view_of(run, "BcManual", vae, found), images)
+        _seen(*view_of(run, "BcManual", vae, found.mask), images)
     )
     squared = (error**2).sum(axis=-1)
     nuisance = where.any(axis=(0, 3))
@@ -61,12 +60,24 @@ def judge_latents(
         "active": vae.active,
         "kl": vae.kl,
         "nuisance_correlation": correlation,
-        "nuisance_share": leakage.explained(signal[some], mean[some], run.key("nuisance share")),
+        "nuisance_share": _share(run, mean, actions),
         "reconstruction": {
             "nuisance": jnp.where(nuisance, squared, 0.0).sum(axis=(1, 2)).mean(),
             "elsewhere": jnp.where(nuisance, 0.0, squared).sum(axis=(1, 2)).mean(),
         },
     }
+
+
+def nuisance_share(run: Run, collected: Collected, vae: Disentangled) -> Array:
+    """[O] of each latent's variance, what the previous action explains, as in results.json."""
+    images, actions = valid_frames(run.system, collected.held_out)
+    mean, _ = disentangle.encode(run.config.vae.network, vae.variables, images)
+    return _share(run, mean, actions)
+
+
+def _share(run: Run, mean: Array, actions: Array) -> Array:
+    signal, some = actions / run.system.limits, slice(0, 2 * _JUDGE_FRAMES)
+    return leakage.explained(signal[some], mean[some], run.key("nuisance share"))
 
 
 def judge_expert(run: Run, collected: Collected) -> dict[str, Array]:
@@ -86,7 +97,7 @@ def judge_policy(
 ) -> tuple[dict[str, Any], Any]:
     """A trained policy's numbers, and its last rollouts."""
     system = run.system
-    view, _ = view_of(run, policy, vae, found)
+    view, _ = view_of(run, policy, vae, found.mask)
     driver = evaluate.Driver(run.config.bc.network, view)
     driven = drive(run, collected, view, cloned.weights)
     loss = evaluate.rollout_loss(system, driven)
@@ -108,7 +119,7 @@ def leaked(
     There the action is independent of everything in the frame but the nuisance: 0 is no leak.
     """
     images, actions = valid_frames(run.system, collected.held_out)
-    seen = _seen(*view_of(run, policy, vae, found), images[: 2 * _JUDGE_FRAMES])
+    seen = _seen(*view_of(run, policy, vae, found.mask), images[: 2 * _JUDGE_FRAMES])
     signal, half = actions / run.system.limits, len(seen) // 2
     return leakage.r_squared(
         seen[:half], signal[:half], seen[half:], signal[half : len(seen)], run.key("leakage")
@@ -177,7 +188,7 @@ def pictures(
     images = frames(system, example)
     strips = {"Frame": images}
     for policy in ("BcManual", "Masked", "Reconstructed"):
-        strips[policy] = _seen(*view_of(run, policy, vae, found), images)
+        strips[policy] = _seen(*view_of(run, policy, vae, found.mask), images)
     trajectories = {"Expert": collected.driven, **driven}
     # The start that is of middling difficulty to the expert.
     order = jnp.argsort(evaluate.rollout_loss(system, collected.driven))

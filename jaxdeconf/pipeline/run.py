@@ -43,7 +43,7 @@ def run(
     found = stages.find_mask(this, collected, vae)
     cloned, policies, driven = {}, {}, {}
     for policy in POLICIES:
-        view = stages.view_of(this, policy, vae, found)
+        view = stages.view_of(this, policy, vae, found.mask)
         cloned[policy] = stages.train_policy(this, policy, collected, *view)
     # After the last one is trained: what is resumed before then need not judge the first again.
     for policy in POLICIES:

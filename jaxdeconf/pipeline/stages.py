@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxdeconf import evaluate, mask, systems
 from jaxdeconf.expert import expert_trajectories
@@ -151,13 +152,6 @@ def train_disentangler(run: Run, collected: Collected) -> Disentangled:
     """Trains the β-VAE on random-policy frames."""
     config, name = run.config.vae, "disentangle"
     weights_key = run.key("VAE initial weights")
-
-    def judge(variables: Variables) -> Disentangled:
-        images, _ = valid_frames(run.system, collected.held_out)
-        mean, log_variance = disentangle.encode(config.network, variables, images)
-        kl = disentangle.kl_divergence(mean, log_variance).mean(axis=0)
-        return Disentangled(variables, kl, kl > disentangle.ACTIVE_KL)
-
     images, _ = valid_frames(run.system, collected.random)
     total, made_from = config.steps(len(images)), ["collect"]
     begin_state = partial(disentangle.initial_state, config, images, weights_key)
@@ -171,7 +165,15 @@ def train_disentangler(run: Run, collected: Collected) -> Disentangled:
             seconds = time.perf_counter() - begin
             run.checkpoint(name, state, {"seconds": seconds}, made_from, int(state.step) == total)
     run.seconds[name] = seconds
-    return judge(state.variables)
+    return judge_disentangler(run, collected, state.variables)
+
+
+def judge_disentangler(run: Run, collected: Collected, variables: Variables) -> Disentangled:
+    """Which latents of a trained β-VAE are active, on held-out random-policy frames."""
+    images, _ = valid_frames(run.system, collected.held_out)
+    mean, log_variance = disentangle.encode(run.config.vae.network, variables, images)
+    kl = disentangle.kl_divergence(mean, log_variance).mean(axis=0)
+    return Disentangled(variables, kl, kl > disentangle.ACTIVE_KL)
 
 
 def first_latents(run: Run, collected: Collected, vae: Disentangled) -> Array:
@@ -199,9 +201,16 @@ def find_mask(run: Run, collected: Collected, vae: Disentangled) -> mask.Mask:
     return run.stage("mask", compute, ["collect", "disentangle"])
 
 
-def view_of(run: Run, policy: str, vae: Disentangled, found: mask.Mask) -> tuple[views.View, Any]:
-    """The view that a policy is cloned on and drives with, and the view's parameters."""
-    keep = vae.active if policy == "Reconstructed" else vae.active & ~jnp.asarray(found.mask)
+def view_of(run: Run, policy: str, vae: Disentangled, masked: ArrayLike) -> tuple[views.View, Any]:
+    """The view that a policy is cloned on and drives with, and the view's parameters.
+
+    Args:
+      run: whose system and networks.
+      policy: its name.
+      vae: the β-VAE.
+      masked: [O] bool, the latents that Masked does not see.
+    """
+    keep = vae.active if policy == "Reconstructed" else vae.active & ~jnp.asarray(masked)
     reconstruction = {"variables": vae.variables, "keep": keep}
     return {
         "BcVanilla": (views.identity, {}),
@@ -237,17 +246,22 @@ def drive(
     return evaluate.drive(run.system, driver, weights, states, key)
 
 
+def imitated_steps(config: clone.CloneConfig, collected: Collected) -> Trajectories:
+    """The part of the expert's trajectories that is cloned."""
+    return jax.tree.map(lambda a: a[:, : config.trajectory_steps], collected.expert)
+
+
 def train_policy(
     run: Run, policy: str, collected: Collected, view: views.View, parameters: Any
 ) -> Cloned:
     """Clones the expert on one view, driving as it goes."""
     config, name = run.config.bc, f"clone {policy}"
-    imitated = jax.tree.map(lambda a: a[:, : config.trajectory_steps], collected.expert)
+    imitated = imitated_steps(config, collected)
     samples = imitated.valid.size
     per_epoch, total = config.steps_per_epoch(samples), config.steps(samples)
     evaluations = run.config.eval.steps(per_epoch, total)
     made_from = ["collect", "disentangle", "mask"] if parameters else ["collect"]
-    begin_state = partial(_initial_policy, run)
+    begin_state = partial(initial_policy, run)
     # losses: of the chunks since the last evaluation.
     notes: dict[str, Any] = {"seconds": 0.0, "history": [], "train_loss": math.nan, "losses": []}
     state, notes = run.store.load(name, begin_state, made_from) or (begin_state(), notes)
@@ -272,7 +286,7 @@ def train_policy(
     return Cloned(weights, notes["history"], notes["train_loss"])
 
 
-def _initial_policy(run: Run) -> FitState:
+def initial_policy(run: Run) -> FitState:
     """Fresh weights; one key for all policies of a run: they differ in their views alone."""
     system, key = run.system, run.key("policy initial weights")
     frame = system.frame(jnp.zeros(len(system.state_names)), jnp.zeros_like(system.limits))

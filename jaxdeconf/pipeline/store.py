@@ -55,10 +55,10 @@ class Store:
         self.directory = directory
         self.saved_at = time.monotonic()  # when it last saved
         self._fingerprints: dict[str, str] = {}  # of the stages loaded or saved so far
-        file, wanted = directory / "config.json", _plain(asdict(config))
+        file, wanted = directory / "config.json", to_plain(asdict(config))
         self._identity = hashlib.sha256(json.dumps([__version__, wanted]).encode()).hexdigest()
         if resume:
-            changed = _differences(_plain(asdict(read_config(directory))), wanted)
+            changed = _differences(to_plain(asdict(read_config(directory))), wanted)
             if changed:
                 raise StoreError(
                     f"{file}: resumed with another config: {', '.join(changed)}; "
@@ -98,7 +98,7 @@ class Store:
             "run": self._identity,
             "fingerprint": self._fingerprints[stage],
             "made_from": self._ancestors(made_from),
-            "notes": _plain(notes),
+            "notes": to_plain(notes),
         }
         folder = self._folder(stage) / str(step)
         try:
@@ -206,7 +206,7 @@ def read_config(directory: Path) -> Config:
                 f"{file}: a run of jaxdeconf {version}, not of this version, {__version__}; "
                 "finish it with its own, or start a new run with --out"
             )
-        return _structure(Config, plain)
+        return structure(Config, plain)
     except OSError as error:
         raise StoreError(
             f"{file}: no run to resume there ({error.strerror}); start one with --out"
@@ -223,14 +223,14 @@ def write_config(directory: Path, config: Config) -> None:
     write_json(directory / "config.json", {"jaxdeconf": __version__, **asdict(config)})
 
 
-def _structure(kind: Any, plain: dict[str, Any]) -> Any:
+def structure(kind: Any, plain: dict[str, Any]) -> Any:
     """The dataclass `kind` from its `asdict`, after a passage through JSON."""
     defaults = kind()
 
     def value(name: str, plain: Any) -> Any:
         default = getattr(defaults, name, None)
         if is_dataclass(default):
-            return _structure(type(default), plain)
+            return structure(type(default), plain)
         return tuple(plain) if isinstance(plain, list) else plain
 
     return kind(**{name: value(name, v) for name, v in plain.items()})
@@ -242,18 +242,18 @@ def write_json(file: Path, value: Any) -> Any:
     Returns:
       The value as the file gives it back: arrays are lists.
     """
-    partial, plain = file.with_name(file.name + _PARTIAL), _plain(value)
-    partial.write_text(json.dumps(plain, indent=1) + "\n")
+    partial, value = file.with_name(file.name + _PARTIAL), to_plain(value)
+    partial.write_text(json.dumps(value, indent=1) + "\n")
     os.replace(partial, file)
-    return plain
+    return value
 
 
-def _plain(value: Any) -> Any:
+def to_plain(value: Any) -> Any:
     """Arrays, tuples and NumPy scalars as what JSON gives back."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): to_plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [to_plain(v) for v in value]
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         return np.asarray(value).tolist()
     return value

@@ -46,7 +46,7 @@ def test_every_stage_takes_a_step(tmp_path):
     found = stages.find_mask(run, collected, vae)
     found = found._replace(mask=jnp.array([True, False, False]))
     cloned = stages.train_policy(
-        run, "Masked", collected, *stages.view_of(run, "Masked", vae, found)
+        run, "Masked", collected, *stages.view_of(run, "Masked", vae, found.mask)
     )
     scores, driven = results.judge_policy(run, "Masked", collected, vae, found, cloned)
     assert np.isfinite(cloned.train_loss)

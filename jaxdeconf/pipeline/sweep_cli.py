@@ -1,0 +1,185 @@
+"""The command line of `experiments.sweep`."""
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import jax
+
+from jaxdeconf.pipeline import cli
+from jaxdeconf.pipeline.config import Config
+from jaxdeconf.pipeline.grid import read_axis
+from jaxdeconf.pipeline.interruption import Interruption
+from jaxdeconf.pipeline.report import POLICIES
+from jaxdeconf.pipeline.store import StoreError, require_empty
+from jaxdeconf.pipeline.sweep_log import Log, Sweep, read_sweep, require_same, write_sweep
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a command line asks for."""
+
+    sweep: Sweep
+    directory: Path
+    resume: bool
+    shard: tuple[int, int]
+    memory: float | None  # GB
+    plan_only: bool
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """As `cli.parse` does."""
+        raise ValueError(re.sub(r"^argument ", "", message))
+
+
+def main(
+    description: str,
+    presets: Mapping[str, Mapping[str, Config]],
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Does a sweep as the command line asks.
+
+    Args:
+      description: shown by --help.
+      presets: system -> preset -> config.
+      arguments: those of the command line.
+    Returns:
+      The exit code, as `cli.main`.
+    """
+    parser = _parser(description, list(presets))
+    try:
+        known, rest = parser.parse_known_args(arguments)
+        _devices(known)
+        asked = _read(known, rest, presets)
+    except (ValueError, StoreError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return cli.guarded(lambda interruption: run(asked, interruption), asked.directory)
+
+
+def _parser(description: str, systems: Sequence[str]) -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="python -m experiments.sweep",
+        description=description,
+        epilog="Every flag of the experiment (--bc.epochs 0.5, --collect.expert-trajectories 500) "
+        "changes all points.",
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add("--system", choices=systems, default="cartpole")
+    add("--preset", default="laptop", help="as the experiment's (default: laptop)")
+    add("--grid", nargs="*", default=[], metavar="STAGE.FIELD=V,V", help="fields and their values")
+    add("--seed", type=int, default=0, help="the first seed")
+    add("--seeds", type=int, default=1, help="how many")
+    add("--policies", nargs="*", choices=POLICIES, default=["Masked"], help="none: masks alone")
+    add("--out", type=Path, help="a new directory (default: runs/SYSTEM-PRESET-sweep)")
+    add("--resume", type=Path, help="go on with the sweep in this directory")
+    add("--shard", default="1/1", metavar="I/N", help="do the I-th of N parts of the points")
+    add("--memory", type=float, metavar="GB", help="of a batch (default: half of what is free)")
+    add("--plan", action="store_true", help="print the plan and stop")
+    add("--devices", type=int, help="CPU devices of this process (default: its cores)")
+    add("--coordinator", metavar="HOST:PORT", help="of several processes; or `auto` in a cluster")
+    add("--process-id", type=int, help="of this one, from 0 on")
+    add("--num-processes", type=int, help="how many there are")
+    return parser
+
+
+def _devices(known: argparse.Namespace) -> None:
+    """What must be said before JAX looks for devices."""
+    several = known.coordinator is not None
+    if not several and (known.process_id is not None or known.num_processes is not None):
+        raise ValueError("--coordinator: expected HOST:PORT beside --process-id, got none")
+    count = known.devices or (1 if several else len(os.sched_getaffinity(0)))
+    if count < 1:
+        raise ValueError(f"--devices: expected a positive integer, got {count}")
+    jax.config.update("jax_num_cpu_devices", count)
+    if known.coordinator == "auto":
+        jax.distributed.initialize()
+    elif several:
+        if known.process_id is None or known.num_processes is None:
+            raise ValueError("--coordinator: expected --process-id and --num-processes, too")
+        jax.distributed.initialize(known.coordinator, known.num_processes, known.process_id)
+
+
+def _read(
+    known: argparse.Namespace, rest: list[str], presets: Mapping[str, Mapping[str, Config]]
+) -> Asked:
+    shard = _shard(known.shard)
+    if known.memory is not None and not known.memory > 0.0:
+        raise ValueError(f"--memory: expected a positive number of GB, got {known.memory}")
+    rest_of = shard, known.memory, known.plan
+    if known.resume is not None and not (known.grid or rest):
+        return Asked(read_sweep(known.resume), known.resume, True, *rest_of)
+    if known.resume is not None and known.out is not None:
+        raise ValueError(f"--out: expected only one of --out and --resume, got {known.out}")
+    of_system = presets[known.system]
+    flags = ["--preset", known.preset, "--seed", str(known.seed), *rest]
+
+    def parse(*more: str) -> Config:
+        return cli.parse("", of_system, [*flags, *more]).config
+
+    base = parse()
+
+    def parse_value(field: str, value: str) -> Config:
+        return parse(f"--{field.replace('_', '-')}", *value.split())
+
+    axes = tuple(read_axis(word, base, parse_value) for word in known.grid)
+    sweep = Sweep(base, axes, known.seeds, tuple(known.policies))
+    assert sweep.points  # every combination is a valid config, or this raises
+    default = Path("runs") / f"{known.system}-{known.preset}-sweep"
+    directory = known.resume or known.out or default
+    return Asked(sweep, directory, known.resume is not None, *rest_of)
+
+
+def _shard(word: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)/(\d+)", word)
+    shard = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not 1 <= shard[0] <= shard[1]:
+        raise ValueError(f"--shard: expected I/N with 1 <= I <= N, got {word!r}")
+    return shard
+
+
+def run(asked: Asked, interruption: Interruption) -> None:
+    """Does a sweep, and says what came of it."""
+    # Imported late: --help and a mistyped flag do not wait for the rest to load.
+    from jaxdeconf.pipeline import plan, sweep_report
+    from jaxdeconf.pipeline.progress import Reporter
+    from jaxdeconf.pipeline.sweep import in_turn, sweep
+
+    cli.cache_compilations()
+    budget = asked.memory * 1e9 if asked.memory else plan.half_of_free_memory()
+    log, first = Log(asked.directory, asked.shard), jax.process_index() == 0
+    if first:
+        print(plan.describe(asked.sweep, asked.shard, budget), flush=True)
+    if asked.plan_only:
+        return
+    in_turn(lambda: _open(asked, log))
+    rows = sweep(asked.sweep, log, Reporter(), interruption, budget, asked.shard)
+    if first:
+        print(sweep_report.write(asked.directory, asked.sweep, rows))
+
+
+def _open(asked: Asked, log: Log) -> None:
+    """A new directory, one with the same sweep, or a StoreError."""
+    if jax.process_index() > 0:
+        return
+    shared = asked.shard != (1, 1) and (asked.directory / "sweep.json").exists()
+    if asked.resume or shared:
+        require_same(asked.directory, asked.sweep)
+        log.mend()
+        return
+    if (asked.directory / "sweep.json").exists():
+        raise StoreError(
+            f"{asked.directory}: holds a sweep; use --resume {asked.directory}, or another --out"
+        )
+    require_empty(asked.directory)
+    asked.directory.mkdir(parents=True, exist_ok=True)
+    write_sweep(asked.directory, asked.sweep)

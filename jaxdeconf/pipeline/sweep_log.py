@@ -1,0 +1,146 @@
+"""The rows of a sweep on disk: one line of JSON a finished point, appended and never rewritten.
+
+DIR/sweep.json                 the grid, and of which version of jaxdeconf
+DIR/sweep.jsonl                a row a point; DIR/sweep-1-of-4.jsonl where a shard wrote it
+DIR/stages/, DIR/stages-1-of-4 what points share: trajectories and β-VAEs
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from jaxdeconf import __version__, checks
+from jaxdeconf.pipeline.config import Config
+from jaxdeconf.pipeline.grid import Axis, Point, points
+from jaxdeconf.pipeline.report import POLICIES
+from jaxdeconf.pipeline.store import StoreError, structure, to_plain, write_json, writing
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a sweep is to do."""
+
+    base: Config
+    axes: tuple[Axis, ...] = ()
+    seeds: int = 1  # from the base's seed on
+    policies: tuple[str, ...] = ("Masked",)  # those that are cloned; none: masks alone
+
+    def __post_init__(self):
+        checks.integer("seeds", self.seeds, most=2**32 - self.base.seed)
+        for policy in self.policies:
+            checks.one_of("policies", policy, POLICIES)
+
+    @property
+    def points(self) -> list[Point]:
+        """All points of the grid."""
+        return points(self.base, self.axes, self.seeds)
+
+
+class Log:
+    """The rows that this process, or shard, writes, and those that others have written."""
+
+    def __init__(self, directory: Path, shard: tuple[int, int] = (1, 1)):
+        """Of a sweep's directory; `shard` is (i, n), 1 <= i <= n."""
+        part = "" if shard == (1, 1) else f"-{shard[0]}-of-{shard[1]}"
+        self.directory = directory
+        self.stages = directory / f"stages{part}"
+        self._file = directory / f"sweep{part}.jsonl"
+
+    def rows(self) -> list[Row]:
+        """All rows of all parts, by point.
+
+        Raises:
+          StoreError: if a line is no row.
+        """
+        found = {}
+        for file in sorted(self.directory.glob("sweep*.jsonl")):
+            for number, line in enumerate(_whole_lines(file), 1):
+                try:
+                    row = json.loads(line)
+                    found[row["point"]] = row
+                except (ValueError, KeyError, TypeError) as error:
+                    raise StoreError(
+                        f"{file}: line {number} is no row of a sweep ({error}); delete that line"
+                    ) from error
+        return [found[point] for point in sorted(found)]
+
+    def mend(self) -> None:
+        """Cuts off the line that a killed process was writing."""
+        if self._file.exists():
+            with writing(self.directory), self._file.open("r+b") as file:
+                file.truncate(sum(len(line) + 1 for line in _whole_lines(self._file)))
+
+    def append(self, rows: Sequence[Row]) -> None:
+        """Adds rows; they are on disk when it returns.
+
+        Raises:
+          WriteError: if the disk does not take them.
+        """
+        text = "".join(json.dumps(to_plain(row)) + "\n" for row in rows)
+        with writing(self.directory), self._file.open("a") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def _whole_lines(file: Path) -> list[bytes]:
+    return file.read_bytes().split(b"\n")[:-1]
+
+
+def write_sweep(directory: Path, sweep: Sweep) -> None:
+    """Writes the sweep.json that `read_sweep` reads."""
+    with writing(directory):
+        write_json(directory / "sweep.json", _plain(sweep))
+
+
+def _plain(sweep: Sweep) -> dict[str, Any]:
+    axes = {axis.name: list(axis.values) for axis in sweep.axes}
+    rest = {"seeds": sweep.seeds, "policies": list(sweep.policies)}
+    return to_plain({"jaxdeconf": __version__, "base": asdict(sweep.base), "axes": axes, **rest})
+
+
+def read_sweep(directory: Path) -> Sweep:
+    """The sweep of a directory.
+
+    Raises:
+      StoreError: if there is none, or it is not one of this version's.
+    """
+    file = directory / "sweep.json"
+    try:
+        found = json.loads(file.read_text())
+        if found["jaxdeconf"] != __version__:
+            raise ValueError(f"of jaxdeconf {found['jaxdeconf']}")
+        axes = tuple(Axis(name, tuple(map(_value, v))) for name, v in found["axes"].items())
+        base = structure(Config, found["base"])
+        return Sweep(base, axes, found["seeds"], tuple(found["policies"]))
+    except OSError as error:
+        raise StoreError(
+            f"{file}: no sweep to resume there ({error.strerror}); start one with --out"
+        ) from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise StoreError(
+            f"{file}: not a sweep of jaxdeconf {__version__} ({error}); start a new one with --out"
+        ) from error
+
+
+def _value(plain: Any) -> Any:
+    return tuple(plain) if isinstance(plain, list) else plain
+
+
+def require_same(directory: Path, sweep: Sweep) -> None:
+    """Refuses to add points of one grid to the rows of another.
+
+    Raises:
+      StoreError: if the directory holds another sweep, or none.
+    """
+    held = read_sweep(directory)
+    if _plain(held) != _plain(sweep):
+        raise StoreError(
+            f"{directory / 'sweep.json'}: holds another sweep (see there); "
+            "leave out all but --resume, or start a new one with --out"
+        )
