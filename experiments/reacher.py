@@ -84,14 +84,14 @@ PRESETS = {
         ),
         mask=MaskConfig(reaction_horizon=1, threshold=8e-3, alpha=0.05),
         bc=CloneConfig(
-            epochs=3,
+            epochs=9,
             batch_size=64,
             learning_rate=2e-3,
-            decay=0.3,
+            decay=0.65,
             trajectory_steps=60,
             network=ResNetConfig(width=16, stem="imagenet", hidden=(128, 128), **_PLACES),
         ),
-        eval=EvaluateConfig(every=0.75),
+        eval=EvaluateConfig(every=2.25),
     ),
     # The paper's networks and objective, for a GPU; where it gives sizes for Reacher, its own.
     "paper": Config(
