@@ -93,7 +93,8 @@ def train_all(
       A batch that is done. Models whose numbers are not finite are among it.
     """
     # Neighbours share their data, which a device then holds once.
-    order = sorted(range(len(jobs)), key=lambda i: str(jobs[i].data_name))
+    names = [job.data_name for job in jobs]
+    order = sorted(range(len(jobs)), key=lambda i: names.index(names[i]))
     space = room(len(jobs), model_bytes(objective, config, jobs[0]), budget)
     total = config.steps(samples)
     for start in range(0, len(jobs), space.models):

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import jax
 
@@ -30,6 +30,17 @@ class Asked:
     shard: tuple[int, int]
     memory: float | None  # GB
     plan_only: bool
+
+
+# What decides a sweep, and is not said again to resume it.
+_OF_A_SWEEP: dict[str, Any] = {
+    "system": "cartpole",
+    "preset": "laptop",
+    "grid": [],
+    "seed": 0,
+    "seeds": 1,
+    "policies": ["Masked"],
+}
 
 
 class _Parser(argparse.ArgumentParser):
@@ -57,8 +68,8 @@ def main(
     parser = _parser(description, list(presets))
     try:
         known, rest = parser.parse_known_args(arguments)
-        _devices(known)
         asked = _read(known, rest, presets)
+        _devices(known)
     except (ValueError, StoreError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -74,12 +85,12 @@ def _parser(description: str, systems: Sequence[str]) -> argparse.ArgumentParser
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--system", choices=systems, default="cartpole")
-    add("--preset", default="laptop", help="as the experiment's (default: laptop)")
-    add("--grid", nargs="*", default=[], metavar="STAGE.FIELD=V,V", help="fields and their values")
-    add("--seed", type=int, default=0, help="the first seed")
-    add("--seeds", type=int, default=1, help="how many")
-    add("--policies", nargs="*", choices=POLICIES, default=["Masked"], help="none: masks alone")
+    add("--system", choices=systems, help="default: cartpole")
+    add("--preset", help="as the experiment's; default: laptop")
+    add("--grid", nargs="*", metavar="STAGE.FIELD=V,V", help="fields and their values")
+    add("--seed", type=int, help="the first seed; default: 0")
+    add("--seeds", type=int, help="how many; default: 1")
+    add("--policies", nargs="*", choices=POLICIES, help="default: Masked; none: masks alone")
     add("--out", type=Path, help="a new directory (default: runs/SYSTEM-PRESET-sweep)")
     add("--resume", type=Path, help="go on with the sweep in this directory")
     add("--shard", default="1/1", metavar="I/N", help="do the I-th of N parts of the points")
@@ -97,7 +108,9 @@ def _devices(known: argparse.Namespace) -> None:
     several = known.coordinator is not None
     if not several and (known.process_id is not None or known.num_processes is not None):
         raise ValueError("--coordinator: expected HOST:PORT beside --process-id, got none")
-    count = known.devices or (1 if several else len(os.sched_getaffinity(0)))
+    count = known.devices
+    if count is None:
+        count = 1 if several else len(os.sched_getaffinity(0))
     if count < 1:
         raise ValueError(f"--devices: expected a positive integer, got {count}")
     jax.config.update("jax_num_cpu_devices", count)
@@ -116,25 +129,27 @@ def _read(
     if known.memory is not None and not known.memory > 0.0:
         raise ValueError(f"--memory: expected a positive number of GB, got {known.memory}")
     rest_of = shard, known.memory, known.plan
-    if known.resume is not None and not (known.grid or rest):
+    asked = {n: v for n, v in vars(known).items() if n in _OF_A_SWEEP and v is not None}
+    if known.resume is not None and not (asked or rest):
         return Asked(read_sweep(known.resume), known.resume, True, *rest_of)
     if known.resume is not None and known.out is not None:
         raise ValueError(f"--out: expected only one of --out and --resume, got {known.out}")
-    of_system = presets[known.system]
-    flags = ["--preset", known.preset, "--seed", str(known.seed), *rest]
+    asked = _OF_A_SWEEP | asked
+    system, preset = asked["system"], asked["preset"]
+    flags = ["--preset", preset, "--seed", str(asked["seed"]), *rest]
 
     def parse(*more: str) -> Config:
-        return cli.parse("", of_system, [*flags, *more]).config
+        return cli.parse("", presets[system], [*flags, *more]).config
 
     base = parse()
 
     def parse_value(field: str, value: str) -> Config:
         return parse(f"--{field.replace('_', '-')}", *value.split())
 
-    axes = tuple(read_axis(word, base, parse_value) for word in known.grid)
-    sweep = Sweep(base, axes, known.seeds, tuple(known.policies))
+    axes = tuple(read_axis(word, base, parse_value) for word in asked["grid"])
+    sweep = Sweep(base, axes, asked["seeds"], tuple(asked["policies"]))
     assert sweep.points  # every combination is a valid config, or this raises
-    default = Path("runs") / f"{known.system}-{known.preset}-sweep"
+    default = Path("runs") / f"{system}-{preset}-sweep"
     directory = known.resume or known.out or default
     return Asked(sweep, directory, known.resume is not None, *rest_of)
 
@@ -152,7 +167,8 @@ def run(asked: Asked, interruption: Interruption) -> None:
     # Imported late: --help and a mistyped flag do not wait for the rest to load.
     from jaxdeconf.pipeline import plan, sweep_report
     from jaxdeconf.pipeline.progress import Reporter
-    from jaxdeconf.pipeline.sweep import in_turn, sweep
+    from jaxdeconf.pipeline.sweep import sweep
+    from jaxdeconf.pipeline.sweep_stages import in_turn
 
     cli.cache_compilations()
     budget = asked.memory * 1e9 if asked.memory else plan.half_of_free_memory()

@@ -22,19 +22,14 @@ class Experiments:
     """Runs experiments as a user does, with one cache of compiled programs."""
 
     def __init__(self, cache: Path):
-        self.cache = cache
+        self.environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "NPROC": THREADS}
 
     def __call__(self, *arguments, start=("-m", "experiments.cartpole"), **environment):
         return subprocess.run(
             [sys.executable, "-W", "error", *start, *map(str, arguments)],
             capture_output=True,
             text=True,
-            env={
-                **os.environ,
-                "XDG_CACHE_HOME": str(self.cache),
-                "NPROC": THREADS,
-                **environment,
-            },
+            env={**self.environment, **environment},
         )
 
 

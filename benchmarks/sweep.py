@@ -1,0 +1,157 @@
+"""What batching buys a sweep: `python -m benchmarks.sweep`.
+
+Clones of the laptop preset's size, differing in their seed, on frames of random states: trained as
+a sweep trains them, one after another in one process, and each in a fresh process with a warm
+compilation cache, as a script that starts an experiment a point would. Wall time with compilation,
+start and data of each. Then the error: the largest difference of a weight between the first two
+ways. Then Algorithm 1 for 1000 points of γ × H × seeds.
+"""
+
+import argparse
+import dataclasses
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.cartpole import PRESETS
+from jaxdeconf import systems
+from jaxdeconf.independence import hoeffding_d
+from jaxdeconf.learn import clone
+from jaxdeconf.learn.fit import FitState
+from jaxdeconf.pipeline import batch, cli, plan
+from jaxdeconf.pipeline.grid import Axis
+from jaxdeconf.pipeline.interruption import Interruption
+from jaxdeconf.pipeline.progress import Reporter
+from jaxdeconf.pipeline.sweep_log import Log, Sweep
+from jaxdeconf.pipeline.sweep_stages import Encoder, Work, data_name, encoder_name, find_masks
+
+BASE = PRESETS["laptop"]
+CARTPOLE = systems.get("cartpole")
+
+
+def demonstrations() -> clone.Demonstrations:
+    """As many as the preset clones."""
+    count = BASE.collect.expert_trajectories * (BASE.bc.trajectory_steps or CARTPOLE.steps)
+    keys = jax.random.split(jax.random.key(0), count)
+
+    @jax.jit
+    def draw(keys: jax.Array) -> jax.Array:
+        def one(key: jax.Array) -> jax.Array:
+            return CARTPOLE.frame(CARTPOLE.sample_initial(key), jnp.ones(1))
+
+        return jax.lax.map(one, keys, batch_size=256)
+
+    actions = jax.random.uniform(jax.random.key(1), (count, 1), minval=-1.0)
+    return clone.Demonstrations(draw(keys), jnp.arange(count) % 40 == 0, actions)
+
+
+def first(point: int) -> FitState:
+    """A point's weights before training."""
+    return clone.initial_state(BASE.bc, (64, 64, 3), 1, jax.random.key(point))
+
+
+def batched(config: clone.CloneConfig, points: int) -> list[FitState]:
+    """As a sweep does."""
+    data, found = demonstrations(), {}
+    jobs = [
+        batch.Job(partial(first, point), {}, jax.random.key(point), "", lambda: data)
+        for point in range(points)
+    ]
+    budget = plan.half_of_free_memory()
+    for trained in batch.train_all(
+        clone.objective, config, len(data.first), jobs, budget, lambda *_: None
+    ):
+        found |= {one.job: one.state for one in trained}
+    return [found[point] for point in range(points)]
+
+
+def in_one_process(config: clone.CloneConfig, points: int) -> list[FitState]:
+    """One after another; one compilation."""
+    data, found = demonstrations(), []
+    for point in range(points):
+        *_, (state, _) = clone.clone(config, first(point), data, jax.random.key(point), ())
+        found.append(jax.block_until_ready(state))
+    return found
+
+
+def in_fresh_processes(config: clone.CloneConfig, points: int) -> None:
+    """One after another, a process each."""
+    for point in range(points):
+        command = ["-m", "benchmarks.sweep", "--one", str(point), "--epochs", str(config.epochs)]
+        subprocess.run([sys.executable, *command], check=True)
+
+
+def timed(work: Callable[[], object]) -> tuple[float, object]:
+    """Seconds, and what came of it; compiled programs of before are forgotten."""
+    jax.clear_caches()
+    begin = time.perf_counter()
+    value = work()
+    return time.perf_counter() - begin, value
+
+
+def error(mine: list[FitState], other: list[FitState]) -> float:
+    """The largest difference of a weight."""
+    pairs = zip(jax.tree.leaves(mine), jax.tree.leaves(other), strict=True)
+    return max(float(np.abs(np.asarray(a) - np.asarray(b)).max()) for a, b in pairs)
+
+
+def masking(points: int) -> None:
+    """Seconds of Algorithm 1 for γ × H × seeds, statistics and compilation included."""
+    gammas = tuple(np.geomspace(1e-4, 0.3, points // 40).tolist())
+    axes = Axis("mask.threshold", gammas), Axis("mask.reaction_horizon", tuple(range(1, 11)))
+    sweep = Sweep(BASE, axes, seeds=4)
+    work = Work(sweep, Log(Path()), Reporter(), Interruption(), 0.0)
+    keys = jax.random.split(jax.random.key(0), 3)
+    states, latents, actions = (
+        jax.random.normal(key, (1000, size)) for key, size in zip(keys, (4, 6, 10), strict=True)
+    )
+    jax.clear_caches()
+    begin = time.perf_counter()
+    for point in sweep.points[:: points // 4]:
+        d = np.asarray(hoeffding_d(states, latents))
+        work.encoders[encoder_name(point.config)] = Encoder(None, None, d)  # type: ignore
+        acted = np.asarray(hoeffding_d(states, actions)).reshape(4, 10, 1)
+        work.actions[data_name(point.config)] = acted
+    found = find_masks(work, sweep.points)
+    print(f"masks of {len(found)} points: {time.perf_counter() - begin:.2f} s")
+
+
+def main() -> None:
+    """Parse the command line and run."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--points", type=int, nargs="*", default=[1, 4, 16])
+    parser.add_argument("--epochs", type=float, default=BASE.bc.epochs)
+    parser.add_argument("--one", type=int, help="train this point alone (a fresh process does)")
+    options = parser.parse_args()
+    config = dataclasses.replace(BASE.bc, epochs=options.epochs)
+    cli.cache_compilations()
+    if options.one is not None:
+        state = first(options.one)
+        list(clone.clone(config, state, demonstrations(), jax.random.key(options.one), ()))
+        return
+    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+    print(f"{jax.device_count()} {jax.devices()[0].device_kind} devices, jax {jax.__version__}")
+    for points in options.points:
+        together, mine = timed(partial(batched, config, points))
+        alone, other = timed(partial(in_one_process, config, points))
+        fresh, _ = timed(partial(in_fresh_processes, config, points))
+        print(
+            f"{points:3d} points, points an hour: {3600 * points / together:.0f} batched, "
+            f"{3600 * points / alone:.0f} in one process ({alone / together:.2f} ×), "
+            f"{3600 * points / fresh:.0f} in fresh ones ({fresh / together:.2f} ×); "
+            f"largest difference {error(mine, other):.1e}",  # type: ignore
+            flush=True,
+        )
+    masking(1000)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,239 @@
+"""Sweeps from the command line: against a run, on many devices, in many processes, cut short."""
+
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from jax.sharding import Mesh
+
+from jaxdeconf.learn.many import AXIS
+from jaxdeconf.pipeline import batch
+
+SWEEP = ("-m", "experiments.sweep")
+# Two β-VAEs, each with two learning rates: every stage has models to train together.
+GRID = ("--grid", "vae.beta=2,4", "bc.learning_rate=1e-3,3e-3")
+# One core's arithmetic in another order, through 250 steps of a closed loop that multiplies it.
+CLOSE = 1e-3
+
+
+def rows(directory, file="sweep.jsonl"):
+    return [json.loads(line) for line in (directory / file).read_text().splitlines()]
+
+
+def numbers_of(row):
+    """What must agree: all of a row but what is said in other words elsewhere."""
+    masked = row["policies"]["Masked"]
+    return [row["mask"], row["precision"], row["recall"], row["expert"], *masked.values()]
+
+
+def assert_same(found, expected, rtol=CLOSE):
+    assert [row["values"] for row in found] == [row["values"] for row in expected]
+    for mine, other in zip(found, expected, strict=True):
+        for a, b in zip(numbers_of(mine), numbers_of(other), strict=True):
+            np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=rtol)
+
+
+def by_point(found):
+    return sorted(found, key=lambda row: row["point"])
+
+
+@pytest.fixture(scope="module")
+def sweep(experiment, tmp_path_factory):
+    """Runs a sweep as a user does; returns its directory and the process."""
+
+    def run(*arguments, out=None, code=0):
+        out = out or tmp_path_factory.mktemp("sweeps") / "sweep"
+        where = () if "--resume" in arguments else ("--out", out)
+        process = experiment(*arguments, *where, start=SWEEP)
+        assert process.returncode == code, process.stderr
+        return out, process
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def swept(sweep, smoke_arguments):
+    return sweep(*smoke_arguments, *GRID, "--devices", "1")
+
+
+@pytest.fixture(scope="module")
+def smoke_arguments():
+    """Of the run that is `done`."""
+    return ("--preset", "smoke", "--vae.chunk", "8", "--bc.chunk", "4")
+
+
+@pytest.mark.slow
+def test_a_point_is_the_run_with_its_flags(swept, done):
+    directory, process = swept
+    row, results = rows(directory)[0], json.loads((done.directory / "results.json").read_text())
+    masked = results["policies"]["Masked"]
+    assert row["values"] == {"seed": 0, "vae.beta": 2.0, "bc.learning_rate": 1e-3}
+    assert row["mask"] == results["mask"]
+    assert row["threshold"] == pytest.approx(results["threshold"], rel=1e-6)
+    np.testing.assert_allclose(row["nuisance_share"], results["nuisance_share"], atol=1e-4)
+    assert row["expert"] == pytest.approx(results["expert"]["rollout_loss"], rel=1e-6)
+    found = row["policies"]["Masked"]
+    assert found["rollout_loss"] == pytest.approx(masked["rollout_loss"]["mean"], rel=CLOSE)
+    assert found["outcome"] == masked["outcome"]
+    assert "report:" in process.stdout
+    assert (directory / "figures" / "rollout_loss.png").stat().st_size > 10_000
+    assert (directory / "report.html").read_text().count("data:image/png") == 1
+
+
+@pytest.mark.slow
+def test_four_devices_find_what_one_finds(sweep, swept, smoke_arguments):
+    directory, process = sweep(*smoke_arguments, *GRID, "--devices", "4")
+    assert "4 at a time on 4 cpu devices" in process.stdout
+    assert_same(by_point(rows(directory)), by_point(rows(swept[0])))
+
+
+@pytest.mark.slow
+def test_two_processes_find_what_one_finds(swept, smoke_arguments, experiment, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    of = ("--coordinator", address, "--num-processes", "2", "--process-id")
+    arguments = [*SWEEP, *smoke_arguments, *GRID, "--out", tmp_path / "sweep", *of]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, *map(str, [*arguments, number])],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=experiment.environment,
+        )
+        for number in range(2)
+    ]
+    said = [process.communicate(timeout=600) for process in processes]
+    assert [process.returncode for process in processes] == [0, 0], said
+    assert "2 at a time on 2 cpu devices" in said[0][0]
+    assert said[1][0] == ""
+    assert_same(by_point(rows(tmp_path / "sweep")), by_point(rows(swept[0])))
+
+
+@pytest.mark.slow
+def test_what_is_done_is_not_done_again(sweep, swept, tmp_path):
+    expected = (swept[0] / "sweep.jsonl").read_text().splitlines(keepends=True)
+    again = tmp_path / "sweep"
+    shutil.copytree(swept[0], again)
+    (again / "sweep.jsonl").write_text("".join(expected[:2]) + expected[2][:40])  # killed there
+    _, process = sweep("--resume", again)
+    found = (again / "sweep.jsonl").read_text().splitlines(keepends=True)
+    assert found[:2] == expected[:2]
+    assert_same(by_point(rows(again)), by_point(rows(swept[0])))
+    assert "2 points done" in process.stderr
+    _, process = sweep("--resume", again)
+    assert "points done" not in process.stderr
+
+
+@pytest.mark.slow
+def test_shards_share_a_directory_and_nothing_else(sweep, swept, smoke_arguments, tmp_path):
+    out = tmp_path / "sweep"
+    shutil.copytree(swept[0] / "stages", out / "stages-1-of-2")
+    shutil.copytree(swept[0] / "stages", out / "stages-2-of-2")
+    shutil.copy(swept[0] / "sweep.json", out)
+    for shard in ("2/2", "1/2"):
+        sweep(*smoke_arguments, *GRID, "--shard", shard, out=out)
+    found = [*rows(out, "sweep-1-of-2.jsonl"), *rows(out, "sweep-2-of-2.jsonl")]
+    assert_same(by_point(found), by_point(rows(swept[0])))
+    assert "not done yet" not in (out / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_point_that_diverges_is_recorded_and_stops_no_other(sweep, swept, tmp_path):
+    out = tmp_path / "sweep"
+    out.mkdir()
+    shutil.copytree(swept[0] / "stages", out / "stages")
+    plan = json.loads((swept[0] / "sweep.json").read_text())
+    plan["axes"] = {"bc.learning_rate": [1e-3, 1e30]}
+    (out / "sweep.json").write_text(json.dumps(plan))
+    _, process = sweep("--resume", out)
+    well, ill = by_point(rows(out))
+    assert well["diverged"] == []
+    assert_same([well | {"values": 0}], [rows(swept[0])[0] | {"values": 0}])
+    assert ill["diverged"] == ["Masked"]
+    assert ill["policies"]["Masked"]["rollout_loss"] is None
+    assert "diverged" in process.stdout
+    assert "Diverged: 1." in (out / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_masks_alone_for_a_thousand_thresholds(sweep, swept, tmp_path):
+    out = tmp_path / "sweep"
+    out.mkdir()
+    shutil.copytree(swept[0] / "stages", out / "stages")
+    plan = json.loads((swept[0] / "sweep.json").read_text())
+    gammas = np.geomspace(1e-4, 0.5, 100).tolist()
+    plan |= {"axes": {"mask.threshold": gammas, "mask.reaction_horizon": list(range(1, 11))}}
+    (out / "sweep.json").write_text(json.dumps(plan | {"policies": []}))
+    sweep("--resume", out)
+    found = rows(out)
+    assert len(found) == 1000
+    by_gamma = [row for row in found if row["values"]["mask.reaction_horizon"] == 3]
+    masked = [sum(row["mask"]) for row in by_gamma]
+    assert masked == sorted(masked)  # a higher threshold masks no less
+    assert masked[-1] == 4
+    names = {path.name for path in (out / "figures").iterdir()}
+    assert names == {"mask.png", "precision_recall.png"}
+
+
+@pytest.mark.slow
+def test_an_interrupted_sweep_says_how_to_go_on(experiment, smoke_arguments, tmp_path):
+    out = tmp_path / "sweep"
+    process = subprocess.Popen(
+        [sys.executable, *SWEEP, *smoke_arguments, "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=experiment.environment,
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "mask" in line:  # the plan has been said
+            process.send_signal(signal.SIGINT)
+            break
+    _, error = process.communicate(timeout=300)
+    assert process.returncode == 130, error
+    assert f"interrupted; go on with --resume {out}" in error
+
+
+@pytest.mark.slow
+def test_another_grid_is_refused(sweep, swept, smoke_arguments):
+    before = (swept[0] / "sweep.jsonl").read_bytes()
+    _, process = sweep(*smoke_arguments, "--resume", swept[0], code=2)
+    assert "holds another sweep" in process.stderr
+    _, process = sweep(*smoke_arguments, *GRID, out=swept[0], code=2)
+    assert f"holds a sweep; use --resume {swept[0]}" in process.stderr
+    assert (swept[0] / "sweep.jsonl").read_bytes() == before
+
+
+def test_a_batch_fills_the_devices_within_memory():
+    devices = tuple(jax.devices())
+    assert batch.room(jobs=8, bytes_a_model=1e9, budget=1.5e9) == batch.Room(devices[:1], 1)
+    assert batch.room(jobs=8, bytes_a_model=1e12, budget=1e9).models == 1
+
+
+def test_a_device_holds_each_data_set_once():
+    mesh = Mesh(np.array(jax.devices()[:1]), (AXIS,))
+    made = []
+
+    def data(value):
+        made.append(value)
+        return jax.numpy.full((4,), value)
+
+    jobs = [
+        batch.Job(
+            lambda: {"w": jax.numpy.zeros(2)}, {}, jax.random.key(0), name, lambda v=v: data(v)
+        )
+        for name, v in (("a", 1.0), ("b", 2.0), ("a", 1.0))
+    ]
+    models, joined = batch._place(jobs, 4, mesh)
+    assert made == [1.0, 2.0]
+    np.testing.assert_array_equal(joined, [1, 1, 1, 1, 2, 2, 2, 2])
+    np.testing.assert_array_equal(models.first_sample, [0, 4, 0])
