@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 _PARTIAL, _SUMS = ".partial", "SHA256SUMS"
@@ -69,13 +70,18 @@ def read_notes(folder: Path) -> dict[str, Any]:
 
 
 def read_state(folder: Path, template: Callable[[], Any]) -> Any:
-    """The arrays of a checkpoint, on the first device, in the tree that `template` would make."""
+    """The arrays of a checkpoint, on the first device, in the tree that `template` would make.
+
+    Orbax commits them to that device, and JAX compiles anew for what is committed: copied, they are
+    as if they had just been computed, so a resumed run finds the programs of the one before it.
+    """
     device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
     like = jax.tree.map(
         lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=device),
         jax.eval_shape(template),
     )
-    return _orbax().load(str(folder / "arrays"), like)
+    loaded = _orbax().load(str(folder / "arrays"), like)
+    return jax.tree.map(lambda a: jnp.array(np.asarray(a)), loaded)
 
 
 def fingerprint(state: Any) -> str:

@@ -31,6 +31,16 @@ def test_what_is_saved_comes_back_with_its_types_and_notes(tmp_path):
     assert (int(loaded.step), notes) == (7, {"history": [], "seconds": 4.0})
 
 
+def test_what_comes_back_runs_the_programs_of_what_was_saved(tmp_path):
+    """Compiled once: what Orbax reads is committed to a device, and would be compiled for anew."""
+    doubled = jax.jit(lambda state: jax.tree.map(lambda leaf: 2 * leaf, state))
+    store = Store(tmp_path, CONFIG, resume=False)
+    doubled(state())
+    store.save("train", 3, state(), {})
+    doubled(store.load("train", state)[0])
+    assert doubled._cache_size() == 1
+
+
 def test_the_config_comes_back_as_it_was(tmp_path):
     for name, config in PRESETS.items():
         Store(tmp_path / name, config, resume=False)

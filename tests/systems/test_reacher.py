@@ -65,9 +65,10 @@ def energy(angles, rates):
 
 
 def test_mass_matrix_is_the_hessian_of_the_kinetic_energy():
+    of_rates = jax.jit(jax.hessian(energy, 1))
     with jax.enable_x64(True):
         for elbow in (-2.0, 0.0, 0.7, 3.0):
-            hessian = jax.hessian(energy, 1)(jnp.array([0.4, elbow]), jnp.array([0.3, -0.8]))
+            hessian = of_rates(jnp.array([0.4, elbow]), jnp.array([0.3, -0.8]))
             m11, m12, m22 = reacher.mass_matrix(jnp.array(elbow))
             np.testing.assert_allclose([[m11, m12], [m12, m22]], hessian, rtol=1e-7)
 
@@ -75,6 +76,7 @@ def test_mass_matrix_is_the_hessian_of_the_kinetic_energy():
 def test_accelerations_fulfil_lagranges_equations():
     """d/dt dE/drate - dE/dangle = torque; there is no potential."""
 
+    @jax.jit
     def torques(joints, acceleration):
         angles, rates = joints[0::2], joints[1::2]
         momentum = jax.grad(energy, 1)
@@ -122,13 +124,15 @@ def test_costs_have_exact_gradients_and_gauss_newton_hessians():
     def offset(state):
         return reacher.elbow_and_end(state)[1] - state[:2]
 
+    @jax.jit
+    def derivatives(state, action):
+        costs = (f(SYSTEM.stage_cost)(state, action) for f in (jax.grad, jax.hessian))
+        return jax.jacfwd(offset)(state), offset(state), *costs
+
     states, actions = random_points(10, np.float64)
     with jax.enable_x64(True):
         for state, action in zip(jnp.asarray(states), jnp.asarray(actions), strict=True):
-            jacobian, error = jax.jacfwd(offset)(state), offset(state)
-            gradient, hessian = (
-                f(SYSTEM.stage_cost)(state, action) for f in (jax.grad, jax.hessian)
-            )
+            jacobian, error, gradient, hessian = derivatives(state, action)
             np.testing.assert_allclose(gradient, 2 * error @ jacobian, rtol=0, atol=1e-12)
             np.testing.assert_allclose(hessian, 2 * jacobian.T @ jacobian, rtol=0, atol=1e-12)
 
