@@ -151,6 +151,20 @@ class Store:
         return self.directory.absolute() / "checkpoints" / stage
 
 
+class Nowhere(Store):
+    """A store that keeps nothing."""
+
+    def __init__(self) -> None:
+        """Of no directory."""
+        self.saved_at = time.monotonic()
+
+    def save(self, *_: Any, **__: Any) -> None:
+        """Forgets it."""
+
+    def load(self, *_: Any, **__: Any) -> None:
+        """Has none."""
+
+
 @contextlib.contextmanager
 def writing(directory: Path) -> Iterator[None]:
     """Turns what keeps a run's files from being written into a WriteError."""

@@ -4,8 +4,9 @@ Trajectories are shared by points of one seed, β-VAEs by points of one β-VAE c
 points with the same mask: a sweep over thresholds trains few. Models of one shape train together
 (`batch`). A point's row is on disk as soon as its last policy has driven.
 
-With several processes (`jax.distributed`) all run this same program. The first alone writes, and
-the others read what it wrote: they need the same directory.
+With several processes (`jax.distributed`) all run this same program, and the first alone writes:
+rows, by which a sweep goes on, but not what points share, which each of them makes again. They need
+the same directory and the same kind of machine.
 """
 
 from collections import defaultdict

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import jax
+from jax.experimental import multihost_utils
 
+from jaxdeconf import checks
 from jaxdeconf.pipeline import cli
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.grid import read_axis
@@ -168,7 +170,6 @@ def run(asked: Asked, interruption: Interruption) -> None:
     from jaxdeconf.pipeline import plan, sweep_report
     from jaxdeconf.pipeline.progress import Reporter
     from jaxdeconf.pipeline.sweep import sweep
-    from jaxdeconf.pipeline.sweep_stages import in_turn
 
     cli.cache_compilations()
     budget = asked.memory * 1e9 if asked.memory else plan.half_of_free_memory()
@@ -177,7 +178,10 @@ def run(asked: Asked, interruption: Interruption) -> None:
         print(plan.describe(asked.sweep, asked.shard, budget), flush=True)
     if asked.plan_only:
         return
-    in_turn(lambda: _open(asked, log))
+    if first:
+        _open(asked, log)
+    if jax.process_count() > 1:  # the others read its rows
+        multihost_utils.sync_global_devices("opened")
     rows = sweep(asked.sweep, log, Reporter(), interruption, budget, asked.shard)
     if first:
         print(sweep_report.write(asked.directory, asked.sweep, rows))
@@ -185,17 +189,37 @@ def run(asked: Asked, interruption: Interruption) -> None:
 
 def _open(asked: Asked, log: Log) -> None:
     """A new directory, one with the same sweep, or a StoreError."""
-    if jax.process_index() > 0:
-        return
-    shared = asked.shard != (1, 1) and (asked.directory / "sweep.json").exists()
-    if asked.resume or shared:
-        require_same(asked.directory, asked.sweep)
-        log.mend()
-        return
-    if (asked.directory / "sweep.json").exists():
-        raise StoreError(
-            f"{asked.directory}: holds a sweep; use --resume {asked.directory}, or another --out"
-        )
-    require_empty(asked.directory)
-    asked.directory.mkdir(parents=True, exist_ok=True)
-    write_sweep(asked.directory, asked.sweep)
+    directory, alone = asked.directory, asked.shard == (1, 1)
+    held = (directory / "sweep.json").exists()
+    if held and alone and not asked.resume:
+        raise StoreError(f"{directory}: holds a sweep; use --resume {directory}, or another --out")
+    if not held and not asked.resume:
+        if alone:
+            require_empty(directory)
+        write_sweep(directory, asked.sweep)  # or finds the one of another shard
+    require_same(directory, asked.sweep)
+    log.mend()
+
+
+def submit(executor: Any, sweep: Sweep, directory: Path, shards: int) -> list[Any]:
+    """Starts a sweep as jobs of their own, a shard each.
+
+    Args:
+      executor: submitit's, or any with a `submit(function, *arguments)` that starts a process.
+      sweep: the grid.
+      directory: of the sweep, as all jobs see it.
+      shards: how many jobs.
+    Returns:
+      The jobs; the result of each is an exit code, as of the command line.
+    """
+    checks.integer("shards", shards)
+    return [
+        executor.submit(_shard_job, sweep, Path(directory), (i, shards))
+        for i in range(1, shards + 1)
+    ]
+
+
+def _shard_job(sweep: Sweep, directory: Path, shard: tuple[int, int]) -> int:
+    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+    asked = Asked(sweep, directory, False, shard, None, False)
+    return cli.guarded(lambda interruption: run(asked, interruption), directory)

@@ -5,8 +5,10 @@ DIR/sweep.jsonl                a row a point; DIR/sweep-1-of-4.jsonl where a sha
 DIR/stages/, DIR/stages-1-of-4 what points share: trajectories and β-VAEs
 """
 
+import contextlib
 import json
 import os
+import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -93,9 +95,18 @@ def _whole_lines(file: Path) -> list[bytes]:
 
 
 def write_sweep(directory: Path, sweep: Sweep) -> None:
-    """Writes the sweep.json that `read_sweep` reads."""
+    """Writes the sweep.json that `read_sweep` reads, unless there is one: the first shard does.
+
+    Raises:
+      WriteError: if the disk does not take it.
+    """
     with writing(directory):
-        write_json(directory / "sweep.json", _plain(sweep))
+        directory.mkdir(parents=True, exist_ok=True)
+        own = directory / f"sweep-{platform.node()}-{os.getpid()}.json"
+        write_json(own, _plain(sweep))
+        with contextlib.suppress(FileExistsError):
+            os.link(own, directory / "sweep.json")  # whole, and only one
+        own.unlink()
 
 
 def _plain(sweep: Sweep) -> dict[str, Any]:

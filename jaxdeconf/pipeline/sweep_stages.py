@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental import multihost_utils
 
 from jaxdeconf import mask
 from jaxdeconf.independence import hoeffding_d
@@ -25,7 +24,7 @@ from jaxdeconf.pipeline.grid import Point
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.stages import Collected, Disentangled, Run
-from jaxdeconf.pipeline.store import Store
+from jaxdeconf.pipeline.store import Nowhere, Store
 from jaxdeconf.pipeline.sweep_log import Log, Sweep
 
 
@@ -94,28 +93,20 @@ def encoder_name(config: Config) -> str:
 
 
 def collect(work: Work, config: Config) -> tuple[Run, Collected]:
-    """The trajectories of a config's points; made once, by the first process."""
+    """The trajectories of a config's points.
+
+    Of several processes each makes them, and none keeps them: Orbax saves only what all save.
+    """
     base = work.sweep.base
     changes = {name: getattr(base, name) for name in ("vae", "mask", "bc")}
     own = dataclasses.replace(config, **changes)
     folder = work.log.stages / data_name(config)
-
-    def open_and_collect() -> tuple[Run, Collected]:
+    if jax.process_count() > 1:
+        store = Nowhere()
+    else:
         store = Store(folder, own, resume=(folder / "config.json").is_file())
-        run = Run(own, store, work.reporter, {}, work.interruption)
-        return run, stages.collect(run)
-
-    return in_turn(open_and_collect)
-
-
-def in_turn(work: Callable[[], Any]) -> Any:
-    """The first process does it, and then the others, which find its files."""
-    if jax.process_count() == 1:
-        return work()
-    first = jax.process_index() == 0
-    value = work() if first else None
-    multihost_utils.sync_global_devices("sweep")
-    return value if first else work()
+    run = Run(own, store, work.reporter, {}, work.interruption)
+    return run, stages.collect(run)
 
 
 def finite(tree: Any) -> bool:
@@ -186,9 +177,8 @@ def _keep_encoder(work: Work, config: Config, trained: Trained) -> None:
         return
     run, _ = work.run_of(config)
     state = jax.tree.map(jnp.asarray, trained.state)
-    if jax.process_index() == 0:
-        name, notes = f"disentangle {digest(config.vae)}", {"seconds": trained.seconds}
-        run.store.save(name, int(state.step), state, notes, ["collect"])
+    name, notes = f"disentangle {digest(config.vae)}", {"seconds": trained.seconds}
+    run.store.save(name, int(state.step), state, notes, ["collect"])
     _judge(work, config, state.variables)
 
 

@@ -1,11 +1,13 @@
 """Sweeps from the command line: against a run, on many devices, in many processes, cut short."""
 
 import json
+import multiprocessing
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 
 import jax
 import numpy as np
@@ -14,6 +16,8 @@ from jax.sharding import Mesh
 
 from jaxdeconf.learn.many import AXIS
 from jaxdeconf.pipeline import batch
+from jaxdeconf.pipeline.sweep_cli import submit
+from jaxdeconf.pipeline.sweep_log import read_sweep
 
 SWEEP = ("-m", "experiments.sweep")
 # Two β-VAEs, each with two learning rates: every stage has models to train together.
@@ -133,16 +137,20 @@ def test_what_is_done_is_not_done_again(sweep, swept, tmp_path):
 
 
 @pytest.mark.slow
-def test_shards_share_a_directory_and_nothing_else(sweep, swept, smoke_arguments, tmp_path):
+def test_shards_run_as_jobs_of_an_executor(swept, experiment, tmp_path, monkeypatch):
+    for name, value in experiment.environment.items():
+        monkeypatch.setenv(name, value)
     out = tmp_path / "sweep"
-    shutil.copytree(swept[0] / "stages", out / "stages-1-of-2")
-    shutil.copytree(swept[0] / "stages", out / "stages-2-of-2")
-    shutil.copy(swept[0] / "sweep.json", out)
-    for shard in ("2/2", "1/2"):
-        sweep(*smoke_arguments, *GRID, "--shard", shard, out=out)
+    for part in ("1-of-2", "2-of-2"):
+        shutil.copytree(swept[0] / "stages", out / f"stages-{part}")
+    spawn = multiprocessing.get_context("spawn")  # a process whose JAX is its own
+    with ProcessPoolExecutor(2, mp_context=spawn) as executor:
+        jobs = submit(executor, read_sweep(swept[0]), out, shards=2)
+        assert [job.result() for job in jobs] == [0, 0]
     found = [*rows(out, "sweep-1-of-2.jsonl"), *rows(out, "sweep-2-of-2.jsonl")]
     assert_same(by_point(found), by_point(rows(swept[0])))
     assert "not done yet" not in (out / "report.html").read_text()
+    assert sorted(path.name for path in out.glob("*.json")) == ["sweep.json"]
 
 
 @pytest.mark.slow
