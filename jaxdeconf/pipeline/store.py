@@ -40,19 +40,21 @@ class WriteError(RuntimeError):
 class Store:
     """Saves and loads the stages of one run."""
 
-    def __init__(self, directory: Path, config: Config, resume: bool):
+    def __init__(self, directory: Path, config: Config, resume: bool, home: Path | None = None):
         """Opens a run directory.
 
         Args:
           directory: made if need be.
           config: what the run is to do.
           resume: whether it goes on with what is there; the config must then be the same.
+          home: what --resume goes on with, if not the directory: the sweep that it is a part of.
         Raises:
           StoreError: if the directory holds a run or anything else and `resume` is not asked for,
             if it holds no run and it is, if the configs or the versions differ, or if it cannot be
             written.
         """
         self.directory = directory
+        self._home = home or directory
         self.saved_at = time.monotonic()  # when it last saved
         self._fingerprints: dict[str, str] = {}  # of the stages loaded or saved so far
         file, wanted = directory / "config.json", to_plain(asdict(config))
@@ -104,7 +106,7 @@ class Store:
         try:
             checkpoint.write(folder, state, notes)
         except Exception as error:
-            raise _write_error(self.directory, folder, error) from error
+            raise _write_error(self._home, folder, error) from error
         self.saved_at = time.monotonic()
 
     def load(

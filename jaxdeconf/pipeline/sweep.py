@@ -69,11 +69,10 @@ def sweep(
     work = Work(asked, log, reporter, interruption, budget)
     mine = part(asked.points, shard)
     done = {row["point"]: row for row in log.rows()}
-    if all(point.index in done for point in mine):
-        return log.rows()
-    for config in distinct((point.config for point in mine), data_name):
+    configs = [point.config for point in mine if point.index not in done]
+    for config in distinct(configs, data_name):
         work.collected[data_name(config)] = collect(work, config)
-    train_encoders(work, [point.config for point in mine])
+    train_encoders(work, configs)
     for name, rows in _finish(work, mine, done):
         if jax.process_index() == 0:
             log.append(rows)
@@ -92,14 +91,7 @@ def _finish(
 ) -> Iterator[tuple[str, list[Row]]]:
     """Clones what the points need; yields rows as they become complete."""
     masks = find_masks(work, points)
-    policies: dict[str, tuple[Point, str]] = {}  # name -> whose, and which
-    needs: dict[int, dict[str, str]] = {}  # point -> policy -> name
-    for point in points:
-        needs[point.index] = {}
-        for policy in work.sweep.policies if point.index in masks else ():
-            name = _policy_name(work, point, policy, masks[point.index][0])
-            policies.setdefault(name, (point, policy))
-            needs[point.index][policy] = name
+    policies, needs = _needed(work, points, masks)
     judged: dict[str, dict[str, float]] = {}
     for point in points:  # what an earlier process found
         for policy, name in needs[point.index].items():
@@ -125,6 +117,20 @@ def _finish(
             judged |= found
             if rows := complete():
                 yield "policies", rows
+
+
+def _needed(
+    work: Work, points: Sequence[Point], masks: dict[int, tuple[np.ndarray, float]]
+) -> tuple[dict[str, tuple[Point, str]], dict[int, dict[str, str]]]:
+    """The policies to clone, name -> whose and which; and of each point, policy -> name."""
+    policies, needs = {}, {}
+    for point in points:
+        needs[point.index] = {}
+        for policy in work.sweep.policies if point.index in masks else ():
+            name = _policy_name(work, point, policy, masks[point.index][0])
+            policies.setdefault(name, (point, policy))
+            needs[point.index][policy] = name
+    return policies, needs
 
 
 def _policy_name(work: Work, point: Point, policy: str, found: np.ndarray) -> str:

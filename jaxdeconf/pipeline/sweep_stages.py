@@ -104,7 +104,8 @@ def collect(work: Work, config: Config) -> tuple[Run, Collected]:
     if jax.process_count() > 1:
         store = Nowhere()
     else:
-        store = Store(folder, own, resume=(folder / "config.json").is_file())
+        begun = (folder / "config.json").is_file()
+        store = Store(folder, own, begun, home=work.log.directory)
     run = Run(own, store, work.reporter, {}, work.interruption)
     return run, stages.collect(run)
 
@@ -205,8 +206,8 @@ def find_masks(work: Work, points: Sequence[Point]) -> dict[int, tuple[np.ndarra
         groups[encoder_name(point.config), point.config.mask.reaction_horizon].append(point)
     found = {}
     for (name, horizon), group in groups.items():
-        encoder = work.encoders[name]
-        if encoder is None:
+        encoder = work.encoders.get(name)
+        if encoder is None:  # diverged, or not needed any more
             continue
         d = encoder.state_observation
         acted = work.actions[data_name(group[0].config)][:, :horizon]

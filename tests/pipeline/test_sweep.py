@@ -22,7 +22,8 @@ from jaxdeconf.pipeline.sweep_log import read_sweep
 SWEEP = ("-m", "experiments.sweep")
 # Two β-VAEs, each with two learning rates: every stage has models to train together.
 GRID = ("--grid", "vae.beta=2,4", "bc.learning_rate=1e-3,3e-3")
-# One core's arithmetic in another order, through 250 steps of a closed loop that multiplies it.
+# On one machine they are equal to the last bit. Another order of the same sums, which another XLA
+# may choose, goes through 250 steps of a closed loop that multiplies it.
 CLOSE = 1e-3
 
 
@@ -117,7 +118,8 @@ def test_two_processes_find_what_one_finds(swept, smoke_arguments, experiment, t
     said = [process.communicate(timeout=600) for process in processes]
     assert [process.returncode for process in processes] == [0, 0], said
     assert "2 at a time on 2 cpu devices" in said[0][0]
-    assert said[1][0] == ""
+    assert "report:" in said[0][0]
+    assert "report:" not in said[1][0]
     assert_same(by_point(rows(tmp_path / "sweep")), by_point(rows(swept[0])))
 
 
