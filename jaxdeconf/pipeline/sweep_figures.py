@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from jaxdeconf.pipeline.figures import COLORS, FAINT, INK, STYLE, save
 from jaxdeconf.pipeline.grid import SEED, Axis
@@ -56,6 +57,9 @@ def rollout_loss(axes: Sequence[Axis], policies: Sequence[str], rows: Sequence[R
         for panel in panels:
             panel.axhline(expert, color=COLORS["Expert"], linewidth=0.9, label="Expert")
             panel.set_yscale("log")
+            panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            panel.yaxis.set_major_formatter("{x:g}")
+            panel.yaxis.set_minor_formatter(NullFormatter())
         panels[0].set_ylabel("rollout loss (mean stage cost a step)")
         panels[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
@@ -158,7 +162,9 @@ def precision_recall(axes: Sequence[Axis], rows: Sequence[Row]) -> Figure:
                 means = [np.mean(values) if values else np.nan for values in known]
                 color = _SHADES(0.1 + 0.75 * group / max(1, len(groups) - 1)) if lines else INK
                 label = f"{_name(lines)} = {_short(lines.values[group])}" if lines else None
-                panel.plot(means, "o-", color=color, ms=3.5, lw=1.4, label=label)
+                # Thinner and thinner: equal lines lie on each other.
+                width = 5.0 - 4.0 * group / max(1, len(groups) - 1)
+                panel.plot(means, "o-", color=color, ms=1.5 + width, lw=width, label=label)
             _ticks(panel, across)
             panel.set_title(score, color=FAINT)
             panel.set_ylim(-0.05, 1.05)
