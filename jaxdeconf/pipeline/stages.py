@@ -151,21 +151,35 @@ def valid_frames(system: System, trajectories: Trajectories) -> tuple[Array, Arr
 def train_disentangler(run: Run, collected: Collected) -> Disentangled:
     """Trains the β-VAE on random-policy frames."""
     config, name = run.config.vae, "disentangle"
-    weights_key = run.key("VAE initial weights")
     images, _ = valid_frames(run.system, collected.random)
     total, made_from = config.steps(len(images)), ["collect"]
-    begin_state = partial(disentangle.initial_state, config, images, weights_key)
+    begin_state = partial(initial_disentangler, run, images)
     state, notes = run.store.load(name, begin_state, made_from) or (None, {"seconds": 0.0})
     seconds = notes["seconds"]
     with run.reporter.bar(name, total, int(state.step) if state else 0) as bar:
         begin = time.perf_counter() - seconds
         state = state or begin_state()  # after the clock: fitting the linear start takes seconds
-        chunks = disentangle.disentangle(config, state, images, run.key("VAE training"))
+        chunks = disentangle.disentangle(config, state, images, disentangling_key(run))
         for state, _ in bar.track(chunks, config):
             seconds = time.perf_counter() - begin
             run.checkpoint(name, state, {"seconds": seconds}, made_from, int(state.step) == total)
     run.seconds[name] = seconds
     return judge_disentangler(run, collected, state.variables)
+
+
+def initial_disentangler(run: Run, images: Array) -> FitState:
+    """The β-VAE before its first step, for images uint8 [n, 64, 64, 3]."""
+    return disentangle.initial_state(run.config.vae, images, run.key("VAE initial weights"))
+
+
+def disentangling_key(run: Run) -> Array:
+    """Shuffles and noise of the β-VAE's training."""
+    return run.key("VAE training")
+
+
+def cloning_key(run: Run) -> Array:
+    """Shuffles of the cloning, the same for all policies of a run."""
+    return run.key("cloning")
 
 
 def judge_disentangler(run: Run, collected: Collected, variables: Variables) -> Disentangled:
@@ -269,7 +283,7 @@ def train_policy(
         with run.reporter.bar(name, total, int(state.step)) as bar:
             begin = time.perf_counter() - notes["seconds"]
             data = demonstrations(run.system, view, parameters, imitated)
-            chunks = clone.clone(config, state, data, run.key("cloning"), evaluations)
+            chunks = clone.clone(config, state, data, cloning_key(run), evaluations)
             for state, metrics in bar.track(chunks, config):
                 evaluated = int(state.step) in evaluations
                 notes = {**notes, "losses": [*notes["losses"], metrics["loss"]]}

@@ -165,7 +165,7 @@ def _clone(
             Job(
                 partial(stages.initial_policy, run),
                 work.numbers(point.config, "bc"),
-                run.key("cloning"),
+                stages.cloning_key(run),
                 seen,
                 partial(stages.demonstrations, run.system, view[0], view[1], steps),
             )

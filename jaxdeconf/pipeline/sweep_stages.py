@@ -16,7 +16,7 @@ import numpy as np
 from jaxdeconf import mask
 from jaxdeconf.independence import hoeffding_d
 from jaxdeconf.learn import disentangle
-from jaxdeconf.learn.fit import FitConfig, FitState, Objective
+from jaxdeconf.learn.fit import FitConfig, Objective
 from jaxdeconf.pipeline import batch, grid, results, stages
 from jaxdeconf.pipeline.batch import Job, Trained
 from jaxdeconf.pipeline.config import Config
@@ -122,7 +122,9 @@ def train_encoders(work: Work, configs: Sequence[Config]) -> None:
         run, collected = work.run_of(config)
         images, _ = stages.valid_frames(run.system, collected.random)
         stage = f"disentangle {digest(config.vae)}"
-        saved = run.store.load(stage, partial(_first_vae, config, run, images), ["collect"])
+        saved = run.store.load(
+            stage, partial(stages.initial_disentangler, run, images), ["collect"]
+        )
         if saved:
             _judge(work, config, saved[0].variables)
         else:
@@ -153,10 +155,6 @@ def train(
         yield from batch.train_all(objective, shape, samples, jobs, work.budget, progress)
 
 
-def _first_vae(config: Config, run: Run, images: jax.Array) -> FitState:
-    return disentangle.initial_state(config.vae, images, run.key("VAE initial weights"))
-
-
 def _vae_job(work: Work, config: Config) -> Job:
     run, collected = work.run_of(config)
 
@@ -164,9 +162,9 @@ def _vae_job(work: Work, config: Config) -> Job:
         return stages.valid_frames(run.system, collected.random)[0]
 
     return Job(
-        lambda: _first_vae(config, run, images()),
+        lambda: stages.initial_disentangler(run, images()),
         work.numbers(config, "vae"),
-        run.key("VAE training"),
+        stages.disentangling_key(run),
         data_name(config),
         images,
     )

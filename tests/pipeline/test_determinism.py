@@ -94,7 +94,7 @@ def test_seeds_differ_in_data_initial_weights_and_rollouts():
     def made(seed):
         run = run_of(seed)
         data = random_trajectories(SYSTEM, run.key("random"), 2)
-        weights = stages._initial_policy(run).variables["params"]["stem"]["kernel"]
+        weights = stages.initial_policy(run).variables["params"]["stem"]["kernel"]
         images = frames(SYSTEM, data).reshape(-1, 64, 64, 3)
         config = replace(CONFIG.vae, network=replace(CONFIG.vae.network, linear_path=False))
         vae = disentangle.initial_state(config, images, run.key("VAE initial weights"))
