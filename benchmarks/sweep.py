@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -68,8 +69,8 @@ def demonstrations() -> clone.Demonstrations:
     return clone.Demonstrations(draw(keys), jnp.arange(count) % 40 == 0, actions)
 
 
-def first(point: int) -> FitState:
-    """A point's weights before training."""
+def first(point: int, _: Any = None) -> FitState:
+    """A point's weights before training; they do not depend on its data."""
     return clone.initial_state(BASE.bc, (64, 64, 3), 1, jax.random.key(point))
 
 

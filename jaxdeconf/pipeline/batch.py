@@ -25,7 +25,7 @@ _MOST_AT_ONCE = 16
 class Job(NamedTuple):
     """One model to train."""
 
-    state: Callable[[], FitState]  # its first
+    state: Callable[[Any], FitState]  # its first, for its data
     numbers: dict[str, float]  # of the config's traced fields; all jobs name the same
     key: Array
     data_name: Hashable  # equal for equal data
@@ -78,7 +78,7 @@ def train_all(
     samples: int,
     jobs: Sequence[Job],
     budget: float,
-    progress: Callable[[int, int], None],
+    progress: Callable[[int], None],
 ) -> Iterator[list[Trained]]:
     """Trains jobs, a batch after the other.
 
@@ -88,7 +88,7 @@ def train_all(
       samples: of each job's data.
       jobs: what to train.
       budget: bytes, see `room`.
-      progress: told (models done × steps, of how many) after every chunk; may raise to stop.
+      progress: told the steps so far, of all models, after every chunk; may raise to stop.
     Yields:
       A batch that is done. Models whose numbers are not finite are among it.
     """
@@ -103,7 +103,7 @@ def train_all(
         for steps, metrics, states in train(
             objective, config, samples, [jobs[i] for i in chosen], space
         ):
-            progress(total * start + steps * len(chosen), total * len(jobs))
+            progress(total * start + steps * len(chosen))
             if states is not None:
                 seconds = time.perf_counter() - begin
                 loss = metrics["loss"]
@@ -119,20 +119,33 @@ def _model(states: FitState, index: int) -> FitState:
 
 def model_bytes(objective: Objective, config: FitConfig, job: Job) -> float:
     """About what training a model takes: its data, its weights, and what a gradient keeps."""
-    state, data = jax.eval_shape(job.state), jax.eval_shape(job.data)
+    state, data = shapes(job)
 
     def kept(variables: Any, data: Any) -> Any:
-        indices, key = jnp.zeros(config.batch_size, int), jax.random.key(0)
-
-        def loss(params: Any) -> Array:
-            own = {**variables, "params": params}
-            return objective(config)(own, data, indices, key, jnp.int32(0))[0]
-
-        return jax.vjp(loss, variables["params"])[1]
+        return jax.vjp(step_loss(objective, config, variables, data), variables["params"])[1]
 
     activations = jax.eval_shape(kept, state.variables, data)
     # Twice: gradients of what is kept live beside it.
     return size(data) + 2.0 * size(activations) + 2.0 * size(state)
+
+
+def shapes(job: Job) -> tuple[FitState, Any]:
+    """A model's first state and its data, as shapes: nothing is made."""
+    data = jax.eval_shape(job.data)
+    return jax.eval_shape(job.state, data), data
+
+
+def step_loss(
+    objective: Objective, config: FitConfig, variables: Any, data: Any
+) -> Callable[[Any], Array]:
+    """The loss of a step, as a function of the weights: to be measured, not trained."""
+    indices, key = jnp.zeros(config.batch_size, int), jax.random.key(0)
+
+    def loss(params: Any) -> Array:
+        own = {**variables, "params": params}
+        return objective(config)(own, data, indices, key, jnp.int32(0))[0]
+
+    return loss
 
 
 def size(tree: Any) -> float:
@@ -157,10 +170,10 @@ def train(
     padded = [*jobs, *[jobs[-1]] * (room.models - len(jobs))]
     mesh = Mesh(np.array(room.devices), (AXIS,))
     models, data = _place(padded, samples, mesh)
-    total, done = config.steps(samples), 0
+    total = config.steps(samples)
     for state, metrics in fit_many(objective, models, data, samples, config, mesh, room.at_once):
         gathered = {name: _gather(value)[: len(jobs)] for name, value in metrics.items()}
-        done = min(total, int(np.asarray(state.step.addressable_shards[0].data)[0]))
+        done = int(np.asarray(state.step.addressable_shards[0].data)[0])
         if done < total:
             yield done, gathered, None
         else:
@@ -184,11 +197,13 @@ def _place(jobs: Sequence[Job], samples: int, mesh: Mesh) -> tuple[Models, Any]:
             continue
         first = jnp.array([names.index(job.data_name) * samples for job in share], jnp.int32)
         numbers = {k: jnp.array([job.numbers[k] for job in share]) for k in share[0].numbers}
-        state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[job.state() for job in share])
+        of = {job.data_name: job.data for job in share}
+        made = {name: of[name]() for name in names}
+        states = [job.state(made[job.data_name]) for job in share]
+        state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
         keys = jnp.stack([job.key for job in share])
         models.append(jax.device_put(Models(state, numbers, keys, first), device))
-        of = {job.data_name: job.data for job in share}
-        sets = [of[name]() for name in names]
+        sets = list(made.values())
         sets += [sets[0]] * (most - len(sets))
         joined = jax.tree.map(lambda *a: a[0] if len(a) == 1 else jnp.concatenate(a), *sets)
         data.append(jax.device_put(joined, device))

@@ -160,10 +160,7 @@ def rollout_loss(curves: Mapping[str, Curve], expert: float, spread: str) -> Fig
         axes.axhline(expert, color=COLORS["Expert"], linewidth=0.9, label="Expert")
         seen = [value for value in seen if np.isfinite(value) and value > 0.0]
         if seen and max(seen) > 10.0 * min(seen):
-            axes.set_yscale("log")
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_minor_formatter(NullFormatter())
+            log_losses(axes)
         else:
             axes.set_ylim(bottom=0.0)
         axes.set_xlabel("training epoch")
@@ -175,6 +172,14 @@ def rollout_loss(curves: Mapping[str, Curve], expert: float, spread: str) -> Fig
         axes.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10], integer=True))
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
+
+
+def log_losses(axes: Axes) -> None:
+    """A logarithmic axis of losses, labelled in plain numbers."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _curve(axes: Axes, name: str, points: np.ndarray) -> np.ndarray:

@@ -106,6 +106,11 @@ def replace(config: Config, changes: Mapping[str, Any]) -> Config:
     return dataclasses.replace(config, **own)
 
 
+def shown(value: Any) -> str:
+    """A field's value, for people."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 _MISSING = object()
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxdeconf import systems
 from jaxdeconf.learn import clone, disentangle
-from jaxdeconf.learn.fit import FitConfig, Objective
+from jaxdeconf.learn.fit import FitConfig, FitState, Objective
 from jaxdeconf.pipeline import batch, grid, sweep, sweep_stages
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.grid import Axis, Point
@@ -42,7 +42,7 @@ def describe(asked: Sweep, shard: tuple[int, int], budget: float) -> str:
 
 def _axis(axis: Axis, base: Config) -> str:
     kind = "traced" if grid.is_traced(axis, base) else "static"
-    return f"  {axis.name} = {', '.join(map(str, axis.values))}   ({kind})"
+    return f"  {axis.name} = {', '.join(map(grid.shown, axis.values))}   ({kind})"
 
 
 def _steps(base: Config) -> int:
@@ -96,25 +96,23 @@ def _job(base: Config, stage: str, frames: int) -> tuple[Objective, batch.Job]:
         first, action = jnp.zeros(frames, bool), jnp.zeros((frames, actions))
         return clone.Demonstrations(images(), first, action)
 
+    def first_policy(_: clone.Demonstrations) -> FitState:
+        return clone.initial_state(base.bc, (side, side, 3), actions, key)
+
+    def first_vae(images: jax.Array) -> FitState:
+        return disentangle.initial_state(base.vae, images, key)
+
     if stage == "vae":
-        first = lambda: disentangle.initial_state(base.vae, images(), key)  # noqa: E731
-        return disentangle.objective, batch.Job(first, {}, key, "", images)
-    first = lambda: clone.initial_state(base.bc, (side, side, 3), actions, key)  # noqa: E731
-    return clone.objective, batch.Job(first, {}, key, "", demonstrations)
+        return disentangle.objective, batch.Job(first_vae, {}, key, "", images)
+    return clone.objective, batch.Job(first_policy, {}, key, "", demonstrations)
 
 
 def _flops(objective: Objective, config: FitConfig, job: batch.Job) -> float:
     """Of a training step."""
-    state, data = jax.eval_shape(job.state), jax.eval_shape(job.data)
+    state, data = batch.shapes(job)
 
     def gradient(variables: Any, data: Any) -> Any:
-        indices, key = jnp.zeros(config.batch_size, int), jax.random.key(0)
-
-        def loss(params: Any) -> jax.Array:
-            own = {**variables, "params": params}
-            return objective(config)(own, data, indices, key, jnp.int32(0))[0]
-
-        return jax.grad(loss)(variables["params"])
+        return jax.grad(batch.step_loss(objective, config, variables, data))(variables["params"])
 
     analysis = jax.jit(gradient).lower(state.variables, data).cost_analysis()
     return float(analysis["flops"]) if analysis else 0.0

@@ -108,10 +108,15 @@ class Run:
         """
         late = time.monotonic() - self.store.saved_at > SAVE_SECONDS
         if now or late or self.interruption.asked:
-            if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state)):
+            if not finite(state):
                 raise FloatingPointError(f"{name}, step {state.step}: weights are not finite")
             self.store.save(name, int(state.step), state, notes, made_from)
         self.interruption.check()
+
+
+def finite(tree: Any) -> bool:
+    """Whether all numbers of a pytree are finite."""
+    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(tree))
 
 
 def collect(run: Run) -> Collected:

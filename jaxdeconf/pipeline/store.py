@@ -214,7 +214,7 @@ def read_config(directory: Path) -> Config:
       StoreError: if there is none, or it is not one of this version's.
     """
     file = directory / "config.json"
-    try:
+    with reading(file, "run", "config"):
         plain = json.loads(file.read_text())
         version = plain.pop("jaxdeconf", "unknown")
         if version != __version__:
@@ -223,14 +223,21 @@ def read_config(directory: Path) -> Config:
                 "finish it with its own, or start a new run with --out"
             )
         return structure(Config, plain)
+
+
+@contextlib.contextmanager
+def reading(file: Path, kind: str, what: str) -> Iterator[None]:
+    """Turns what is wrong with the file that says what a run or a sweep is into a StoreError."""
+    try:
+        yield
     except OSError as error:
         raise StoreError(
-            f"{file}: no run to resume there ({error.strerror}); start one with --out"
+            f"{file}: no {kind} to resume there ({error.strerror}); start one with --out"
         ) from error
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise StoreError(
-            f"{file}: not a config of jaxdeconf {__version__} ({_cause(error)}); "
-            "start a new run with --out"
+            f"{file}: not a {what} of jaxdeconf {__version__} ({_cause(error)}); "
+            f"start a new {kind} with --out"
         ) from error
 
 
@@ -247,7 +254,7 @@ def structure(kind: Any, plain: dict[str, Any]) -> Any:
         default = getattr(defaults, name, None)
         if is_dataclass(default):
             return structure(type(default), plain)
-        return tuple(plain) if isinstance(plain, list) else plain
+        return from_plain(plain)
 
     return kind(**{name: value(name, v) for name, v in plain.items()})
 
@@ -273,6 +280,11 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         return np.asarray(value).tolist()
     return value
+
+
+def from_plain(value: Any) -> Any:
+    """What `to_plain` made of a config's field: its lists are tuples."""
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _cause(error: Exception) -> str:

@@ -35,7 +35,6 @@ from jaxdeconf.pipeline.sweep_stages import (
     distinct,
     encoder_name,
     find_masks,
-    finite,
     train,
     train_encoders,
 )
@@ -163,7 +162,7 @@ def _clone(
         seen = name.rpartition(" ")[0] + f" {point.config.bc.trajectory_steps}"
         jobs.append(
             Job(
-                partial(stages.initial_policy, run),
+                lambda _, r=run: stages.initial_policy(r),
                 work.numbers(point.config, "bc"),
                 stages.cloning_key(run),
                 seen,
@@ -183,7 +182,7 @@ def _drive(work: Work, policies: Sequence[tuple[Point, Any, Trained]]) -> list[d
     """What trained policies come to; with several processes, each lets its share drive."""
     mine = np.full((len(policies), len(_JUDGED)), np.nan)
     for i, (point, (view, parameters), trained) in enumerate(policies):
-        if i % jax.process_count() == jax.process_index() and finite(trained.state):
+        if i % jax.process_count() == jax.process_index() and stages.finite(trained.state):
             run, collected = work.run_of(point.config)
             variables = jax.tree.map(jnp.asarray, trained.state.variables)
             weights = evaluate.Weights(variables, parameters)

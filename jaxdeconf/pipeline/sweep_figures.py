@@ -12,10 +12,9 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
-from jaxdeconf.pipeline.figures import COLORS, FAINT, INK, STYLE, save
-from jaxdeconf.pipeline.grid import SEED, Axis
+from jaxdeconf.pipeline.figures import COLORS, FAINT, INK, STYLE, log_losses, save
+from jaxdeconf.pipeline.grid import SEED, Axis, shown
 from jaxdeconf.pipeline.sweep_log import Row, Sweep
 
 # Light to dark, for the values of a second axis.
@@ -56,10 +55,7 @@ def rollout_loss(axes: Sequence[Axis], policies: Sequence[str], rows: Sequence[R
         expert = np.mean([row["expert"] for row in rows])
         for panel in panels:
             panel.axhline(expert, color=COLORS["Expert"], linewidth=0.9, label="Expert")
-            panel.set_yscale("log")
-            panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            panel.yaxis.set_major_formatter("{x:g}")
-            panel.yaxis.set_minor_formatter(NullFormatter())
+            log_losses(panel)
         panels[0].set_ylabel("rollout loss (mean stage cost a step)")
         panels[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
@@ -85,12 +81,11 @@ def _losses(panel: Axes, axis: Axis, policy: str, rows: Sequence[Row]) -> None:
 
 
 def _place(axis: Axis, row: Row) -> int:
-    value = row["values"][axis.name]
-    return axis.values.index(tuple(value) if isinstance(value, list) else value)
+    return axis.values.index(row["values"][axis.name])
 
 
 def _ticks(panel: Axes, axis: Axis) -> None:
-    panel.set_xticks(range(len(axis.values)), [_short(value) for value in axis.values])
+    panel.set_xticks(range(len(axis.values)), [shown(value) for value in axis.values])
     if len(axis.values) > 5:
         panel.tick_params(axis="x", labelrotation=60)
     panel.set_xlabel(_name(axis))
@@ -102,40 +97,42 @@ def _name(axis: Axis) -> str:
     return symbols.get(axis.name, axis.name)
 
 
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+def _cells(across: Axis, rows: Sequence[Row]) -> list[list[int]]:
+    """For each value of an axis, the places of its rows."""
+    places = [_place(across, row) for row in rows]
+    return [
+        [i for i, place in enumerate(places) if place == value]
+        for value in range(len(across.values))
+    ]
+
+
+def _groups(axes: Sequence[Axis], rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+    """Rows by the value of the second axis, with its name; all of them if there is none."""
+    if len(axes) < 2:
+        return [("", list(rows))]
+    return [
+        (f"{_name(axes[1])} = {shown(value)}", [rows[i] for i in cells])
+        for value, cells in zip(axes[1].values, _cells(axes[1], rows), strict=True)
+    ]
+
+
+def _mean(values: Sequence[Any]) -> Any:
+    """Mean over the first axis; NaN of nothing."""
+    return np.mean(values, axis=0) if len(values) else np.nan
 
 
 def mask(axes: Sequence[Axis], rows: Sequence[Row]) -> Figure:
     """Share of points in which each latent is masked: columns one field, panels the other."""
-    across, panels_of = axes[0], axes[1] if len(axes) > 1 else None
-    groups = range(len(panels_of.values)) if panels_of else [0]
+    across, groups = axes[0], _groups(axes, rows)
     latents = len(rows[0]["mask"])
-    order = [np.argsort(-np.asarray(row["nuisance_share"]), kind="stable") for row in rows]
-    shares = np.mean(
-        [np.asarray(r["nuisance_share"])[o] for r, o in zip(rows, order, strict=True)], 0
-    )
+    shares = np.mean([np.asarray(row["nuisance_share"])[_order(row)] for row in rows], axis=0)
     with rc_context(STYLE):
         width = 1.8 + len(groups) * (0.4 + 0.3 * len(across.values))
         figure = Figure((max(5.0, width), 1.3 + 0.28 * latents), layout="constrained")
         panels = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
-        for group, panel in zip(groups, panels, strict=True):
-            total = np.zeros((latents, len(across.values)))
-            count = np.zeros(len(across.values))
-            for row, sorted_ in zip(rows, order, strict=True):
-                if panels_of is None or _place(panels_of, row) == group:
-                    masked = np.asarray(row["mask"]) & np.asarray(row["active"])
-                    total[:, _place(across, row)] += masked[sorted_]
-                    count[_place(across, row)] += 1
-            shown = np.ma.masked_invalid(total / np.where(count > 0, count, np.nan))
-            mesh = panel.pcolormesh(shown, cmap="Greens", vmin=0, vmax=1, ec="white", lw=1.5)
-            places = np.arange(len(across.values)) + 0.5
-            panel.set_xticks(places, [_short(v) for v in across.values], rotation=60)
-            panel.set_xlabel(_name(across))
-            panel.spines[:].set_visible(False)
-            panel.tick_params(length=0)
-            if panels_of:
-                panel.set_title(f"{_name(panels_of)} = {_short(panels_of.values[group])}")
+        for (title, own), panel in zip(groups, panels, strict=True):
+            mesh = _masked(panel, across, own, latents)
+            panel.set_title(title)
         labels = [f"{rank + 1}. ({share:.2f})" for rank, share in enumerate(np.maximum(shares, 0))]
         panels[0].set_yticks(np.arange(latents) + 0.5, labels)
         panels[0].set_ylim(latents, 0)
@@ -144,30 +141,44 @@ def mask(axes: Sequence[Axis], rows: Sequence[Row]) -> Figure:
     return figure
 
 
+def _order(row: Row) -> np.ndarray:
+    """[O] a point's latents, the nuisance's first."""
+    return np.argsort(-np.asarray(row["nuisance_share"]), kind="stable")
+
+
+def _masked(panel: Axes, across: Axis, rows: Sequence[Row], latents: int) -> Any:
+    """One panel of `mask`; returns what its colours mean."""
+    masked = [(np.asarray(r["mask"]) & np.asarray(r["active"]))[_order(r)] for r in rows]
+    columns = [_mean([masked[i] for i in cell]) for cell in _cells(across, rows)]
+    shares = np.stack([np.broadcast_to(column, latents) for column in columns], axis=1)
+    style = {"cmap": "Greens", "vmin": 0, "vmax": 1, "ec": "white", "lw": 1.5}
+    mesh = panel.pcolormesh(np.ma.masked_invalid(shares), **style)
+    places = np.arange(len(across.values)) + 0.5
+    panel.set_xticks(places, [shown(value) for value in across.values], rotation=60)
+    panel.set_xlabel(_name(across))
+    panel.spines[:].set_visible(False)
+    panel.tick_params(length=0)
+    return mesh
+
+
 def precision_recall(axes: Sequence[Axis], rows: Sequence[Row]) -> Figure:
     """Precision and recall of the mask against one field, a line a value of the other."""
-    across, lines = axes[0], axes[1] if len(axes) > 1 else None
-    groups = range(len(lines.values)) if lines else [0]
+    across, groups = axes[0], _groups(axes, rows)
+    last = max(1, len(groups) - 1)
     with rc_context(STYLE):
         figure = Figure((7.6, 3.0), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         for panel, score in zip(panels, ("precision", "recall"), strict=True):
-            for group in groups:
-                own = [row for row in rows if lines is None or _place(lines, row) == group]
-                points = [
-                    [row[score] for row in own if _place(across, row) == place]
-                    for place in range(len(across.values))
-                ]
-                known = [[v for v in values if v is not None] for values in points]
-                means = [np.mean(values) if values else np.nan for values in known]
-                color = _SHADES(0.1 + 0.75 * group / max(1, len(groups) - 1)) if lines else INK
-                label = f"{_name(lines)} = {_short(lines.values[group])}" if lines else None
+            for place, (label, own) in enumerate(groups):
+                scores = [[own[i][score] for i in cell] for cell in _cells(across, own)]
+                means = [_mean([v for v in values if v is not None]) for values in scores]
+                color = _SHADES(0.1 + 0.75 * place / last) if label else INK
                 # Thinner and thinner: equal lines lie on each other.
-                width = 5.0 - 4.0 * group / max(1, len(groups) - 1)
+                width = 5.0 - 4.0 * place / last
                 panel.plot(means, "o-", color=color, ms=1.5 + width, lw=width, label=label)
             _ticks(panel, across)
             panel.set_title(score, color=FAINT)
             panel.set_ylim(-0.05, 1.05)
-        if lines:
+        if len(groups) > 1:
             panels[1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

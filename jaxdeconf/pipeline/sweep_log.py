@@ -18,7 +18,15 @@ from jaxdeconf import __version__, checks
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.grid import Axis, Point, points
 from jaxdeconf.pipeline.report import POLICIES
-from jaxdeconf.pipeline.store import StoreError, structure, to_plain, write_json, writing
+from jaxdeconf.pipeline.store import (
+    StoreError,
+    from_plain,
+    reading,
+    structure,
+    to_plain,
+    write_json,
+    writing,
+)
 
 Row = dict[str, Any]
 
@@ -64,8 +72,9 @@ class Log:
             for number, line in enumerate(_whole_lines(file), 1):
                 try:
                     row = json.loads(line)
+                    row["values"] = {k: from_plain(v) for k, v in row["values"].items()}
                     found[row["point"]] = row
-                except (ValueError, KeyError, TypeError) as error:
+                except (ValueError, KeyError, TypeError, AttributeError) as error:
                     raise StoreError(
                         f"{file}: line {number} is no row of a sweep ({error}); delete that line"
                     ) from error
@@ -122,25 +131,13 @@ def read_sweep(directory: Path) -> Sweep:
       StoreError: if there is none, or it is not one of this version's.
     """
     file = directory / "sweep.json"
-    try:
+    with reading(file, "sweep", "sweep"):
         found = json.loads(file.read_text())
         if found["jaxdeconf"] != __version__:
             raise ValueError(f"of jaxdeconf {found['jaxdeconf']}")
-        axes = tuple(Axis(name, tuple(map(_value, v))) for name, v in found["axes"].items())
+        axes = tuple(Axis(name, tuple(map(from_plain, v))) for name, v in found["axes"].items())
         base = structure(Config, found["base"])
         return Sweep(base, axes, found["seeds"], tuple(found["policies"]))
-    except OSError as error:
-        raise StoreError(
-            f"{file}: no sweep to resume there ({error.strerror}); start one with --out"
-        ) from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise StoreError(
-            f"{file}: not a sweep of jaxdeconf {__version__} ({error}); start a new one with --out"
-        ) from error
-
-
-def _value(plain: Any) -> Any:
-    return tuple(plain) if isinstance(plain, list) else plain
 
 
 def require_same(directory: Path, sweep: Sweep) -> None:

@@ -3,9 +3,8 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from jaxdeconf.pipeline import findings, page
+from jaxdeconf.pipeline import findings, grid, page
 from jaxdeconf.pipeline.grid import SEED
 from jaxdeconf.pipeline.store import writing
 from jaxdeconf.pipeline.sweep_log import Row, Sweep
@@ -63,8 +62,8 @@ def table(sweep: Sweep, rows: Sequence[Row]) -> tuple[list[str], list[list[str]]
     head = ["point", *names, "masked", "precision", "recall", *sweep.policies, "Expert"]
     cells = []
     for row in ranked(sweep, rows):
-        values = [_short(row["values"][name]) for name in names]
-        mask = [findings.listing(_masked(row)) if "mask" in row else "β-VAE diverged"]
+        values = [grid.shown(row["values"][name]) for name in names]
+        mask = [findings.listing(findings.masked(row)) if "mask" in row else "β-VAE diverged"]
         judged = [findings.number(row.get(name)) for name in ("precision", "recall")]
         losses = [_with_spread(row, policy) for policy in sweep.policies]
         cells.append(
@@ -74,19 +73,11 @@ def table(sweep: Sweep, rows: Sequence[Row]) -> tuple[list[str], list[list[str]]
     return head, cells, note
 
 
-def _masked(row: Row) -> list[int]:
-    return [o for o, on in enumerate(row["mask"]) if on and row["active"][o]]
-
-
 def _with_spread(row: Row, policy: str) -> str:
     judged = row["policies"].get(policy, {})
     if judged.get("rollout_loss") is None:
         return "diverged"
     return f"{findings.loss(judged['rollout_loss'])} ± {findings.number(judged['std'])}"
-
-
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def summary(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:

@@ -92,6 +92,11 @@ def encoder_name(config: Config) -> str:
     return f"{data_name(config)} {digest(config.vae)}"
 
 
+def encoder_stage(config: Config) -> str:
+    """The name that its data's store keeps a β-VAE by."""
+    return f"disentangle {digest(config.vae)}"
+
+
 def collect(work: Work, config: Config) -> tuple[Run, Collected]:
     """The trajectories of a config's points.
 
@@ -110,25 +115,18 @@ def collect(work: Work, config: Config) -> tuple[Run, Collected]:
     return run, stages.collect(run)
 
 
-def finite(tree: Any) -> bool:
-    """Whether all numbers are finite."""
-    return all(bool(np.isfinite(np.asarray(leaf)).all()) for leaf in jax.tree.leaves(tree))
-
-
 def train_encoders(work: Work, configs: Sequence[Config]) -> None:
     """Trains, or loads, the β-VAEs of the configs, and judges them."""
     missing: dict[Any, list[Config]] = defaultdict(list)
     for config in distinct(configs, encoder_name):
         run, collected = work.run_of(config)
-        images, _ = stages.valid_frames(run.system, collected.random)
-        stage = f"disentangle {digest(config.vae)}"
-        saved = run.store.load(
-            stage, partial(stages.initial_disentangler, run, images), ["collect"]
-        )
+        job = _vae_job(work, config)
+        saved = run.store.load(encoder_stage(config), lambda j=job: j.state(j.data()), ["collect"])
         if saved:
             _judge(work, config, saved[0].variables)
         else:
-            missing[work.shape_of(config, "vae"), len(images)].append(config)
+            samples = int(collected.random.valid.sum())
+            missing[work.shape_of(config, "vae"), samples].append(config)
     for (shape, samples), group in missing.items():
         jobs = [_vae_job(work, config) for config in group]
         for batch_ in train(work, "β-VAE", disentangle.objective, shape, samples, jobs):
@@ -148,7 +146,7 @@ def train(
     total = shape.steps(samples) * len(jobs)
     with work.reporter.bar(f"{what} × {len(jobs)}", total) as bar:
 
-        def progress(done: int, _: int) -> None:
+        def progress(done: int) -> None:
             bar.update(done, "model-steps")
             work.interruption.check()
 
@@ -162,7 +160,7 @@ def _vae_job(work: Work, config: Config) -> Job:
         return stages.valid_frames(run.system, collected.random)[0]
 
     return Job(
-        lambda: stages.initial_disentangler(run, images()),
+        partial(stages.initial_disentangler, run),
         work.numbers(config, "vae"),
         stages.disentangling_key(run),
         data_name(config),
@@ -171,13 +169,13 @@ def _vae_job(work: Work, config: Config) -> Job:
 
 
 def _keep_encoder(work: Work, config: Config, trained: Trained) -> None:
-    if not finite(trained.state):
+    if not stages.finite(trained.state):
         work.encoders[encoder_name(config)] = None
         return
     run, _ = work.run_of(config)
     state = jax.tree.map(jnp.asarray, trained.state)
-    name, notes = f"disentangle {digest(config.vae)}", {"seconds": trained.seconds}
-    run.store.save(name, int(state.step), state, notes, ["collect"])
+    notes = {"seconds": trained.seconds}
+    run.store.save(encoder_stage(config), int(state.step), state, notes, ["collect"])
     _judge(work, config, state.variables)
 
 

@@ -48,6 +48,14 @@ def by_point(found):
     return sorted(found, key=lambda row: row["point"])
 
 
+def begun(swept, out, **changes):
+    """A directory with what `swept` shares, and another grid."""
+    shutil.copytree(swept[0] / "stages", out / "stages")
+    plan = json.loads((swept[0] / "sweep.json").read_text())
+    (out / "sweep.json").write_text(json.dumps(plan | changes))
+    return out
+
+
 @pytest.fixture(scope="module")
 def sweep(experiment, tmp_path_factory):
     """Runs a sweep as a user does; returns its directory and the process."""
@@ -157,12 +165,7 @@ def test_shards_run_as_jobs_of_an_executor(swept, experiment, tmp_path, monkeypa
 
 @pytest.mark.slow
 def test_a_point_that_diverges_is_recorded_and_stops_no_other(sweep, swept, tmp_path):
-    out = tmp_path / "sweep"
-    out.mkdir()
-    shutil.copytree(swept[0] / "stages", out / "stages")
-    plan = json.loads((swept[0] / "sweep.json").read_text())
-    plan["axes"] = {"bc.learning_rate": [1e-3, 1e30]}
-    (out / "sweep.json").write_text(json.dumps(plan))
+    out = begun(swept, tmp_path / "sweep", axes={"bc.learning_rate": [1e-3, 1e30]})
     _, process = sweep("--resume", out)
     well, ill = by_point(rows(out))
     assert well["diverged"] == []
@@ -175,13 +178,9 @@ def test_a_point_that_diverges_is_recorded_and_stops_no_other(sweep, swept, tmp_
 
 @pytest.mark.slow
 def test_masks_alone_for_a_thousand_thresholds(sweep, swept, tmp_path):
-    out = tmp_path / "sweep"
-    out.mkdir()
-    shutil.copytree(swept[0] / "stages", out / "stages")
-    plan = json.loads((swept[0] / "sweep.json").read_text())
     gammas = np.geomspace(1e-4, 0.5, 100).tolist()
-    plan |= {"axes": {"mask.threshold": gammas, "mask.reaction_horizon": list(range(1, 11))}}
-    (out / "sweep.json").write_text(json.dumps(plan | {"policies": []}))
+    axes = {"mask.threshold": gammas, "mask.reaction_horizon": list(range(1, 11))}
+    out = begun(swept, tmp_path / "sweep", axes=axes, policies=[])
     sweep("--resume", out)
     found = rows(out)
     assert len(found) == 1000
@@ -239,7 +238,7 @@ def test_a_device_holds_each_data_set_once():
 
     jobs = [
         batch.Job(
-            lambda: {"w": jax.numpy.zeros(2)}, {}, jax.random.key(0), name, lambda v=v: data(v)
+            lambda _: {"w": jax.numpy.zeros(2)}, {}, jax.random.key(0), name, lambda v=v: data(v)
         )
         for name, v in (("a", 1.0), ("b", 2.0), ("a", 1.0))
     ]
