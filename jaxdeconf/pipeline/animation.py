@@ -34,7 +34,7 @@ def write_rollouts(
     steps = np.arange(0, length, stride)
     clips = np.stack([_greyed(rollouts[name], alive[name])[steps] for name in names])
     palette, clips = _to_palette(clips, [COLORS[name] for name in names])
-    fell = [None if alive[name].all() else int(np.argmin(alive[name])) for name in names]
+    ends = [None if alive[name].all() else int(np.argmin(alive[name])) for name in names]
     still = _captions(names, clips.shape[2])
     pages = []
     for frame, step in enumerate(steps):
@@ -43,11 +43,11 @@ def write_rollouts(
             x = _GAP + panel * (clips.shape[2] * _ZOOM + _GAP)
             picture = clips[panel, frame].repeat(_ZOOM, axis=0).repeat(_ZOOM, axis=1)
             page[_HEADER : _HEADER + picture.shape[0], x : x + picture.shape[1]] = picture
-            end = fell[panel]
+            end = ends[panel]
             if end is not None and step >= end:
                 _write(
                     page,
-                    f"fell at {end * dt:.2f} s",
+                    f"lost at {end * dt:.2f} s",
                     (x + picture.shape[1] / 2, _HEADER + 14),
                     16,
                     "mm",
@@ -57,8 +57,8 @@ def write_rollouts(
         image.putpalette(palette.tobytes())
         pages.append(image)
     # Rounded to the GIF's hundredths of a second so that errors do not add up.
-    ends = np.round(np.append(steps[1:], steps[-1] + stride) * dt * 100.0)
-    durations = (np.diff(ends, prepend=0.0) * 10.0).astype(int).tolist()
+    shown_to = np.round(np.append(steps[1:], steps[-1] + stride) * dt * 100.0)
+    durations = (np.diff(shown_to, prepend=0.0) * 10.0).astype(int).tolist()
     path.parent.mkdir(parents=True, exist_ok=True)
     pages[0].save(
         path, save_all=True, append_images=pages[1:], duration=durations, loop=0, optimize=False

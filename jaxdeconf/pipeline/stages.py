@@ -308,5 +308,6 @@ def train_policy(
 def initial_policy(run: Run) -> FitState:
     """Fresh weights; one key for all policies of a run: they differ in their views alone."""
     system, key = run.system, run.key("policy initial weights")
-    frame = system.frame(jnp.zeros(len(system.state_names)), jnp.zeros_like(system.limits))
+    state, action = jnp.zeros(len(system.state_names)), jnp.zeros_like(system.limits)
+    frame = jax.eval_shape(system.frame, state, action)  # its shape; drawing would compile it
     return clone.initial_state(run.config.bc, frame.shape, len(system.action_limit), key)
