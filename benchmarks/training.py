@@ -4,12 +4,13 @@
     python -m benchmarks.training --networks all       # and the paper's: minutes a row on a CPU
 
 Every row is a full Adam step (forward, backward, update) at batch 64 on 64 × 64 images unless it
-says forward. The contestants of a row take turns, so that a busy machine slows all alike; times are
-medians. "GFLOP/s" counts three forward passes' multiply-adds a step; "roof" is its share of a
-2048³ float32 matrix product timed in the same turns. "error" is the largest difference between
-the gradients by our convolution and by XLA's, relative to the largest gradient. (Most of it is
-XLA's: against float64, for the width-16 ResNet with the 7×7 stem, ours is off by 4e-7 and XLA's by
-3e-4, since its slow path sums some 65,000 terms one after another.)
+says forward; scan is many steps in one program. The contestants take turns, so that a busy machine
+slows all alike; times are medians over turns. "GFLOP/s" counts three forward passes' multiply-adds
+a step; "roof" is its share of a 2048³ float32 matrix product timed in the same turns. "error" is
+the largest difference between the gradients by our convolution and by XLA's, relative to the
+largest gradient. (Most of it is XLA's: against float64, for the width-16 ResNet with the 7×7 stem,
+ours is off by 4e-7 and XLA's by 3e-4, since its slow path sums some 65,000 terms one after
+another.)
 """
 
 import argparse
