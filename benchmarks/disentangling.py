@@ -17,23 +17,32 @@ from typing import Any
 
 import numpy as np
 
-from jaxdeconf.pipeline import cli, findings, results, stages
-from jaxdeconf.pipeline.config import Config
+from jaxdeconf import systems
+from jaxdeconf.commands.guard import cache_compilations
+from jaxdeconf.methods import METHODS, Evidence, masking
+from jaxdeconf.pipeline import judge
+from jaxdeconf.pipeline.config import Config, fitting
+from jaxdeconf.pipeline.plain import write_json
 from jaxdeconf.pipeline.progress import Reporter
-from jaxdeconf.pipeline.store import Store, read_config, write_json
+from jaxdeconf.pipeline.run import collect_for, deconfounded
+from jaxdeconf.pipeline.stages import Run
+from jaxdeconf.pipeline.store import Store, read_config
+from jaxdeconf.report import words
 
 
-def judge(config: Config, directory: Path) -> dict[str, Any]:
+def measure(config: Config, directory: Path) -> dict[str, Any]:
     """The numbers of one seed; resumes what is in its directory."""
-    resume = (directory / "config.json").is_file()
-    run = stages.Run(config, Store(directory, config, resume), Reporter(), seconds={})
-    collected = stages.collect(run)
-    vae = stages.train_disentangler(run, collected)
-    found = stages.find_mask(run, collected, vae)
-    latents = results.judge_latents(run, collected, vae, found)
-    active = np.asarray(latents["active"])
-    correlation = np.where(active, np.asarray(latents["nuisance_correlation"]), 0.0)
+    system = fitting(config, systems.get(config.system))
+    store = Store(directory, config, (directory / "config.json").is_file())
+    run = Run(config, system, store, Reporter())
+    collected = run.stage("collect", lambda: collect_for(config, system, run.key))
+    trial = judge.trial(system, run.key, collected)
+    encoder, found = deconfounded(run, trial)
+    latents = judge.judge_latents(trial, encoder)
+    active = np.asarray(encoder.active)
+    correlation = np.where(active, np.asarray(latents.nuisance_correlation), 0.0)
     second, first = np.sort(correlation)[-2:]
+    view, parameters = METHODS[masking()[0]].view(Evidence(encoder, found.mask))
     return {
         "seed": config.seed,
         "first": first,
@@ -41,8 +50,8 @@ def judge(config: Config, directory: Path) -> dict[str, Any]:
         "active": int(active.sum()),
         "masked": np.flatnonzero(np.asarray(found.mask) & active),
         "latent": int(correlation.argmax()),
-        "leakage": results.leaked(run, "Masked", collected, vae, found),
-        **latents["reconstruction"],
+        "leakage": judge.leaked(trial, view, parameters),
+        **latents.reconstruction._asdict(),
         "seconds": run.seconds["disentangle"],
     }
 
@@ -55,14 +64,14 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=10, help="how many")
     asked = parser.parse_args()
     base, folder = read_config(asked.run), asked.run / "disentangling"
-    cli.cache_compilations()
+    cache_compilations()
     rows = []
     print("seed   first  second  masked (nuisance)  leakage  nuisance  elsewhere  seconds")
     for seed in range(asked.seed, asked.seed + asked.seeds):
         config = dataclasses.replace(base, seed=seed)
-        row = judge(config, folder / f"seed-{seed}")
+        row = measure(config, folder / f"seed-{seed}")
         rows.append(row)
-        masked = f"{findings.listing(row['masked'])} ({findings.listing([row['latent']])})"
+        masked = f"{words.listing(row['masked'])} ({words.listing([row['latent']])})"
         print(
             f"{seed:4}  {row['first']:6.3f}  {row['second']:6.3f}  {masked:>17}  "
             f"{float(row['leakage']):7.3f}  {float(row['nuisance']):8.2f}  "

@@ -40,7 +40,7 @@ CASES = {
         ExpertConfig(), "cartpole_soft_N30", "cartpole_closed_loop_soft_N30", soft_limits=True
     ),
     "reacher": Case(
-        # That of the presets in experiments/reacher.py.
+        # That of the presets.
         ExpertConfig(initial_iterations=15, step_iterations=1),
         "reacher_rk4_N30",
         "reacher_closed_loop_rk4_N30",
@@ -98,7 +98,7 @@ def error(system: System, case: Case) -> None:
     golden = json.loads(GOLDEN.read_text())
     optima, closed_loop = golden[case.optima], golden[case.closed_loop]
     states = np.array([optimum.get("target", []) + optimum["x0"] for optimum in optima])
-    plans = plan(system, states, config=case.config)
+    plans = plan(system, states, case.config)
     excess = np.asarray(plans.cost) / [optimum["cost"] for optimum in optima] - 1
     print(f"open loop           {np.abs(excess).max():.1e} worst relative error of ten optima")
     trajectories, _ = expert_trajectories(system, states, jax.random.key(0), case.config)

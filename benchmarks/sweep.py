@@ -9,53 +9,32 @@ ways. Then Algorithm 1 for 1000 points of γ × H × seeds.
 
 import argparse
 import dataclasses
-import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdeconf import systems
-from jaxdeconf.independence import hoeffding_d
+from jaxdeconf import mask, systems
+from jaxdeconf.commands.guard import cache_compilations
 from jaxdeconf.learn import clone
-from jaxdeconf.learn.disentangle import DisentangleConfig
-from jaxdeconf.learn.fit import FitState
-from jaxdeconf.nets.resnet import ResNetConfig
-from jaxdeconf.nets.vae import VAEConfig
-from jaxdeconf.pipeline import batch, cli, plan
-from jaxdeconf.pipeline.config import Config
-from jaxdeconf.pipeline.grid import Axis
-from jaxdeconf.pipeline.interruption import Interruption
-from jaxdeconf.pipeline.progress import Reporter
-from jaxdeconf.pipeline.sweep_log import Log, Sweep
-from jaxdeconf.pipeline.sweep_stages import Encoder, Work, data_name, encoder_name, find_masks
+from jaxdeconf.learn.fit import FitState, Training
+from jaxdeconf.methods import identity
+from jaxdeconf.pipeline.machine import cores
+from jaxdeconf.presets import PRESETS
+from jaxdeconf.sweep import batch, plan
 
-# CartPole's laptop preset, as far as it matters here.
-BASE = Config(
-    vae=DisentangleConfig(network=VAEConfig(latents=6)),
-    bc=clone.CloneConfig(
-        epochs=1,
-        batch_size=32,
-        learning_rate=2e-3,
-        decay=0.02,
-        trajectory_steps=40,
-        huber=0.1,
-        network=ResNetConfig(width=16, stem="imagenet"),
-    ),
-)
+BASE = PRESETS["cartpole"]["laptop"]
 CARTPOLE = systems.get("cartpole")
 
 
 def demonstrations() -> clone.Demonstrations:
     """As many as the preset clones."""
-    count = BASE.collect.expert_trajectories * (BASE.bc.trajectory_steps or CARTPOLE.steps)
+    count = BASE.collect.expert_trajectories * (BASE.clone.trajectory_steps or CARTPOLE.steps)
     keys = jax.random.split(jax.random.key(0), count)
 
     @jax.jit
@@ -66,25 +45,22 @@ def demonstrations() -> clone.Demonstrations:
         return jax.lax.map(one, keys, batch_size=256)
 
     actions = jax.random.uniform(jax.random.key(1), (count, 1), minval=-1.0)
-    return clone.Demonstrations(draw(keys), jnp.arange(count) % 40 == 0, actions)
+    return clone.Demonstrations(draw(keys), jnp.arange(count) % 40, actions)
 
 
-def first(point: int, _: Any = None) -> FitState:
-    """A point's weights before training; they do not depend on its data."""
-    return clone.initial_state(BASE.bc, (64, 64, 3), 1, jax.random.key(point))
+def training(
+    config: clone.CloneConfig, point: int, data: Callable[[], clone.Demonstrations]
+) -> Training:
+    """A point's clone: its key is its own."""
+    count = BASE.collect.expert_trajectories * (BASE.clone.trajectory_steps or CARTPOLE.steps)
+    return clone.training(config, data, count, identity, {}, jax.random.key(point))
 
 
 def batched(config: clone.CloneConfig, points: int) -> list[FitState]:
     """As a sweep does."""
     data, found = demonstrations(), {}
-    jobs = [
-        batch.Job(partial(first, point), {}, jax.random.key(point), "", lambda: data)
-        for point in range(points)
-    ]
-    budget = plan.half_of_free_memory()
-    for trained in batch.train_all(
-        clone.objective, config, len(data.first), jobs, budget, lambda *_: None
-    ):
+    jobs = [batch.Job(training(config, point, lambda: data), "") for point in range(points)]
+    for trained in batch.train_all(jobs, plan.half_of_free_memory(), lambda *_: None):
         found |= {one.job: one.state for one in trained}
     return [found[point] for point in range(points)]
 
@@ -93,7 +69,7 @@ def in_one_process(config: clone.CloneConfig, points: int) -> list[FitState]:
     """One after another; one compilation."""
     data, found = demonstrations(), []
     for point in range(points):
-        *_, (state, _) = clone.clone(config, first(point), data, jax.random.key(point), ())
+        *_, (state, _) = training(config, point, lambda: data).chunks(str(point))
         found.append(jax.block_until_ready(state))
     return found
 
@@ -121,39 +97,32 @@ def error(mine: list[FitState], other: list[FitState]) -> float:
 
 def masking(points: int) -> None:
     """Seconds of Algorithm 1 for γ × H × seeds, statistics and compilation included."""
-    gammas = tuple(np.geomspace(1e-4, 0.3, points // 40).tolist())
-    axes = Axis("mask.threshold", gammas), Axis("mask.reaction_horizon", tuple(range(1, 11)))
-    sweep = Sweep(BASE, axes, seeds=4)
-    work = Work(sweep, Log(Path()), Reporter(), Interruption(), 0.0)
     keys = jax.random.split(jax.random.key(0), 3)
     states, latents, actions = (
         jax.random.normal(key, (1000, size)) for key, size in zip(keys, (4, 6, 10), strict=True)
     )
+    gammas = np.geomspace(1e-4, 0.3, points // 40)
     jax.clear_caches()
-    begin = time.perf_counter()
-    for point in sweep.points[:: points // 4]:
-        d = np.asarray(hoeffding_d(states, latents))
-        work.encoders[encoder_name(point.config)] = Encoder(None, None, d)  # type: ignore
-        acted = np.asarray(hoeffding_d(states, actions)).reshape(4, 10, 1)
-        work.actions[data_name(point.config)] = acted
-    found = find_masks(work, sweep.points)
-    print(f"masks of {len(found)} points: {time.perf_counter() - begin:.2f} s")
+    begin, found = time.perf_counter(), 0
+    for _ in range(4):
+        masks = mask.find_mask(states, latents, actions[..., None], gammas, alpha=None)
+        found += sum(len(masks.within(horizon)) for horizon in range(1, 11))
+    print(f"masks of {found} points: {time.perf_counter() - begin:.2f} s")
 
 
 def main() -> None:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--points", type=int, nargs="*", default=[1, 4, 16])
-    parser.add_argument("--epochs", type=float, default=BASE.bc.epochs)
+    parser.add_argument("--epochs", type=float, default=BASE.clone.epochs)
     parser.add_argument("--one", type=int, help="train this point alone (a fresh process does)")
     options = parser.parse_args()
-    config = dataclasses.replace(BASE.bc, epochs=options.epochs)
-    cli.cache_compilations()
+    config = dataclasses.replace(BASE.clone, epochs=options.epochs)
+    cache_compilations()
     if options.one is not None:
-        state = first(options.one)
-        list(clone.clone(config, state, demonstrations(), jax.random.key(options.one), ()))
+        list(training(config, options.one, demonstrations).chunks("one"))
         return
-    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+    jax.config.update("jax_num_cpu_devices", cores())
     print(f"{jax.device_count()} {jax.devices()[0].device_kind} devices, jax {jax.__version__}")
     for points in options.points:
         together, mine = timed(partial(batched, config, points))

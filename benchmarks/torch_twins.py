@@ -10,6 +10,8 @@ from torch.nn import functional as F
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
 
+SIDE = 64  # of an image, pixels
+
 
 class Block(nn.Module):
     """A pre-activation block."""
@@ -62,7 +64,7 @@ class VAE(nn.Module):
         for outputs in channels:
             down += [nn.Conv2d(inputs, outputs, 3, 2, 1), nn.BatchNorm2d(outputs), nn.LeakyReLU()]
             inputs = outputs
-        self.shape = (inputs, *2 * (config.image_size // 2 ** len(channels),))
+        self.shape = (inputs, *2 * (SIDE // 2 ** len(channels),))
         flat = self.shape[0] * self.shape[1] * self.shape[2]
         for outputs in (*channels[-2::-1], channels[0]):
             up += [
@@ -89,7 +91,7 @@ class Race:
         resnet = isinstance(config, ResNetConfig)
         self.network = ResNet(config) if resnet else VAE(config)
         self.network.to(memory_format=torch.channels_last)
-        self.images = torch.rand(batch, 6 if resnet else 3, 64, 64).to(
+        self.images = torch.rand(batch, 6 if resnet else 3, SIDE, SIDE).to(
             memory_format=torch.channels_last
         )
         self.target = torch.ones(batch, 1) if resnet else self.images

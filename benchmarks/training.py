@@ -26,8 +26,8 @@ import jax.numpy as jnp
 import optax
 from jax import lax
 
-from jaxdeconf.nets import resnet, vae
-from jaxdeconf.nets.conv import conv_general_dilated as ours
+from jaxdeconf.nets import layers, resnet, vae
+from jaxdeconf.nets.cpu import conv_general_dilated as ours
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
 
@@ -43,6 +43,7 @@ NETWORKS: dict[str, Config] = {
 }
 LAPTOP = 3  # of them
 BATCH, CHUNK = 64, 8  # CHUNK: steps of a scan
+SIZE = (64, 64)
 MODELS = (1, 2, 4, 8)
 
 
@@ -54,16 +55,16 @@ def network(config: Config):
             variables = {"params": params, "batch_stats": batch_stats}
             return resnet.apply(config, variables, images, True)
 
-        variables = resnet.init(config, jax.random.key(0), (64, 64, 6), 1)
-        return variables, jax.random.uniform(jax.random.key(1), (BATCH, 64, 64, 6)), forward
+        variables = resnet.init(config, jax.random.key(0), (*SIZE, 6), 1)
+        return variables, jax.random.uniform(jax.random.key(1), (BATCH, *SIZE, 6)), forward
 
     def reconstruct(params, batch_stats, images):
         variables = {"params": params, "batch_stats": batch_stats}
         mean, _, batch_stats = vae.encode(config, variables, images, True)
-        return vae.decode(config, {**variables, "batch_stats": batch_stats}, mean, True)
+        return vae.decode(config, {**variables, "batch_stats": batch_stats}, mean, SIZE, True)
 
-    variables = vae.init(config, jax.random.key(0))
-    return variables, jax.random.uniform(jax.random.key(1), (BATCH, 64, 64, 3)), reconstruct
+    variables = vae.init(config, jax.random.key(0), SIZE)
+    return variables, jax.random.uniform(jax.random.key(1), (BATCH, *SIZE, 3)), reconstruct
 
 
 def training(config: Config):
@@ -100,10 +101,7 @@ def compiled(function: Callable, *arguments, convolution=ours):
     def fresh(*arguments):  # jit caches a trace by function: another convolution, another function
         return function(*arguments)
 
-    with (
-        patch.object(resnet, "conv_general_dilated", convolution),
-        patch.object(vae, "conv_general_dilated", convolution),
-    ):
+    with patch.object(layers, "conv_general_dilated", convolution):
         lowered = jax.jit(fresh).lower(*arguments)
     began = time.perf_counter()
     program = lowered.compile()
@@ -149,10 +147,7 @@ def forward_flops(run_forward, state, images) -> float:
         total += 2 * y.size * prod(w.shape[:3]) / prod(lhs_dilation or (1,))
         return y
 
-    with (
-        patch.object(resnet, "conv_general_dilated", counting),
-        patch.object(vae, "conv_general_dilated", counting),
-    ):
+    with patch.object(layers, "conv_general_dilated", counting):
         jax.eval_shape(lambda *arguments: run_forward(*arguments), state, images)
     return total
 

@@ -1,14 +1,29 @@
 """Deconfounded imitation learning: find the nuisance a cloned policy would copy, and mask it.
 
-    key ─▶ collect ─▶ disentangle ─▶ mask ─▶ clone ─▶ evaluate ─▶ report
-           expert &     β-VAE         Alg. 1    BC       closed     figures,
-           random       on random     on s₁,o₁, on four  loop       tables,
-           trajectories frames        a₁..a_H   views    rollouts   checkpoints
+    collect or read ─▶ disentangle ─▶ mask ─▶ clone ─▶ evaluate ─▶ report
+    demonstrations     β-VAE          Alg. 1   BC       closed     figures,
+    and frames under   on random      s₁, o₁,  a method loop       numbers,
+    random actions     frames         a₁..a_H  a row    rollouts   pages
 
-`systems` what moves, `vision` how it looks, `expert` the controller to imitate, `independence`
-Hoeffding's D, `mask` Algorithm 1, `nets` networks, `learn` training, `evaluate` and `leakage`
-scores, `pipeline` runs, disk and screen. Pfrommer, Bai, Lee & Sojoudi (2023), "Initial State
-Interventions for Deconfounded Imitation Learning".
+`deconfound` is the workflow on arrays, `METHODS` the table of methods, `run` the whole of it for a
+simulator, kept and resumed; docs/architecture.md has the map. Pfrommer, Bai, Lee & Sojoudi (2023),
+"Initial State Interventions for Deconfounded Imitation Learning".
 """
 
-__version__ = "0.1.0"
+from jaxdeconf import systems
+from jaxdeconf.deconfound import clone_policy, deconfound, learn_latents, mask_latents
+from jaxdeconf.demos import Demos
+from jaxdeconf.evaluate import copycat, drive, rollout_loss
+from jaxdeconf.independence import (
+    hoeffding_d,
+    p_value,
+    permutation_p_value,
+    refined_d,
+    threshold,
+)
+from jaxdeconf.mask import Mask, find_mask
+from jaxdeconf.methods import METHODS, Evidence, Method
+from jaxdeconf.pipeline.config import Config
+from jaxdeconf.pipeline.run import run
+from jaxdeconf.systems import System
+from jaxdeconf.version import __version__

@@ -65,6 +65,14 @@ def one_of(name: str, value: Any, choices: Sequence[str]) -> None:
         raise _wrong(name, f"one of {', '.join(map(str, choices))}", value)
 
 
+def size(name: str, value: Any) -> None:
+    """(height, width) of an image."""
+    if not isinstance(value, tuple) or len(value) != 2:
+        raise _wrong(name, "(height, width)", value)
+    for pixels in value:
+        integer(name, pixels)
+
+
 def instance(name: str, value: Any, kind: type) -> None:
     """An object of a class."""
     if not isinstance(value, kind):
@@ -111,11 +119,12 @@ def array(
         got = f"{given.dtype} of shape {given.shape}"
         raise ValueError(f"{name}: expected {of} of shape {form}, got {got}")
     if finite and not isinstance(given, Tracer):
-        _finite(name, np.asarray(given))
+        finite_numbers(name, np.asarray(given))
     return given
 
 
-def _finite(name: str, values: np.ndarray) -> None:
+def finite_numbers(name: str, values: np.ndarray) -> None:
+    """No NaN and no infinity in an array of numbers."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         place = tuple(bad[0].tolist())

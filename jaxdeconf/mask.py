@@ -6,7 +6,8 @@ time step, where the intervention on the initial state has cut every other commo
 Shapes: N trajectories, S state, O latent observation, H reaction horizon, A action.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,28 +16,63 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxdeconf import checks
-from jaxdeconf.independence import hoeffding_d, p_value
+from jaxdeconf.independence import hoeffding_d, p_value, refined_d
 from jaxdeconf.independence import threshold as null_threshold
+from jaxdeconf.traced import Traced, traceable
+
+# By name; on one scale and with one null law.
+STATISTICS = {"hoeffding": hoeffding_d, "refined": refined_d}
+
+
+@traceable
+@dataclass(frozen=True)
+class MaskConfig:
+    """Algorithm 1's hyperparameters."""
+
+    # H, steps in which the expert reacts. Ours: the least, for one that acts on what it sees now.
+    reaction_horizon: int = 1
+    threshold: Traced = 1e-3  # gamma, on 30 x Hoeffding's D; the paper's
+    # Family-wise error of the independence tests; raises the threshold where it must. Ours; None is
+    # the paper's bare gamma, which a disentangled nuisance exceeds by chance in one dataset in six.
+    alpha: float | None = 0.05
+    statistic: Literal["hoeffding", "refined"] = "hoeffding"  # the paper's
+
+    def __post_init__(self):
+        checks.integer("reaction_horizon", self.reaction_horizon)
+        checks.not_negative("threshold", self.threshold)
+        if self.alpha is not None:
+            checks.number("alpha", self.alpha, "a number in (0, 1)", 0.0, 1.0)
+        checks.one_of("statistic", self.statistic, tuple(STATISTICS))
 
 
 class Mask(NamedTuple):
-    """The mask and the evidence for it."""
+    """The mask and the evidence for it; with thresholds [...], the mask of each."""
 
-    mask: Array  # [O] bool: True where the observation is to be masked
-    state_observation: Array  # [S, O] Hoeffding's D
-    state_action: Array  # [S, H, A] Hoeffding's D
-    potential_cause: Array  # [O, H, A] bool: the observation may cause the action
-    threshold: float  # dependence means D above it
+    mask: Array  # [..., O] bool: True where the observation is to be masked
+    state_observation: Array  # [S, O] the statistic
+    state_action: Array  # [S, H, A] the statistic
+    potential_cause: Array  # [..., O, H, A] bool: the observation may cause the action
+    threshold: Array  # [...] dependence means a statistic above it
     p_state_observation: Array  # [S, O] asymptotic p-values of one test each
     p_state_action: Array  # [S, H, A]
+
+    def within(self, horizon: int) -> Array:
+        """[..., O] the mask for a reaction horizon no longer than H, at the same thresholds.
+
+        Raises:
+          ValueError: if it is longer.
+        """
+        checks.integer("horizon", horizon, most=self.potential_cause.shape[-2])
+        return ~self.potential_cause[..., :horizon, :].any(axis=(-2, -1))
 
 
 def find_mask(
     initial_states: ArrayLike,
     observations: ArrayLike,
     actions: ArrayLike,
-    threshold: float = 1e-3,
-    alpha: float | None = None,
+    threshold: ArrayLike = MaskConfig.threshold,
+    alpha: float | None = MaskConfig.alpha,
+    statistic: str = MaskConfig.statistic,
 ) -> Mask:
     """Masks the observations that, by Algorithm 1, cause no action.
 
@@ -44,31 +80,38 @@ def find_mask(
       initial_states: [N, S] state at the first time step, N >= 5.
       observations: [N, O] latent observation at the first time step.
       actions: [N, H, A] expert actions over the reaction horizon.
-      threshold: dependence means D above it; the paper's gamma.
-      alpha: if given, dependence means D above the larger of `threshold` and the one that
+      threshold: dependence means a statistic above it; the paper's gamma. Or several of them,
+        [...], for a mask each from the same statistics.
+      alpha: dependence means a statistic above the larger of `threshold` and the one that
         independent pairs exceed with family-wise probability alpha. The family is every test
-        that Algorithm 1 makes, m = S (O + H A): any of them can leave a nuisance unmasked.
+        that Algorithm 1 makes, m = S (O + H A): any of them can leave a nuisance unmasked. None
+        leaves the bare thresholds.
+      statistic: "hoeffding", the paper's D, or "refined", Blum, Kiefer & Rosenblatt's R.
     Returns:
       The mask and the statistics it follows from.
     Raises:
       ValueError: if shapes do not fit, values are not finite, or there are too few trajectories.
     """
     named = {"initial_states": initial_states, "observations": observations, "actions": actions}
-    forms = "[N, S]", "[N, O]", "[N, H, A]"
-    shapes = []
-    for (name, value), form in zip(named.items(), forms, strict=True):
-        given = checks.array(name, value, form, (None,) * (form.count(",") + 1), finite=True)
-        shapes.append(given.shape)
-        checks.same_length(name, len(given), shapes[0][0], "trajectories")
-    (n, states), (_, latents), (_, horizon, controls) = shapes
+    forms = {"initial_states": "[N, S]", "observations": "[N, O]", "actions": "[N, H, A]"}
+    axes = {"initial_states": 2, "observations": 2, "actions": 3}
+    shapes = {}
+    for name, value in named.items():
+        given = checks.array(name, value, forms[name], (None,) * axes[name], finite=True)
+        shapes[name] = given.shape
+        n, states = shapes["initial_states"]
+        checks.same_length(name, len(given), n, "trajectories")
     checks.integer("trajectories in initial_states", n, least=5)
-    gamma = effective_threshold(threshold, alpha, n, states * (latents + horizon * controls))
-    d = hoeffding_d(initial_states, _side_by_side(observations, actions))
+    checks.one_of("statistic", statistic, tuple(STATISTICS))
+    (_, latents), (_, horizon, controls) = shapes["observations"], shapes["actions"]
+    tests = states * (latents + horizon * controls)
+    gamma = effective_threshold(threshold, alpha, n, tests)
+    d = STATISTICS[statistic](initial_states, _side_by_side(observations, actions))
     state_observation = d[:, :latents]
     state_action = d[:, latents:].reshape(states, horizon, controls)
     potential_cause = potential_causes(state_observation, state_action, gamma)
     return Mask(
-        mask=~potential_cause.any(axis=(1, 2)),
+        mask=~potential_cause.any(axis=(-2, -1)),
         state_observation=state_observation,
         state_action=state_action,
         potential_cause=potential_cause,
@@ -79,20 +122,23 @@ def find_mask(
 
 
 def effective_threshold(
-    threshold: float, alpha: float | None, trajectories: int, tests: int
-) -> float:
-    """The D above which Algorithm 1 calls a pair dependent, as `find_mask` says.
+    threshold: ArrayLike, alpha: float | None, trajectories: int, tests: int
+) -> Array:
+    """[...] what Algorithm 1 calls a pair dependent above, as `find_mask` says.
 
     Args:
-      threshold: the paper's gamma.
+      threshold: [...] the paper's gamma.
       alpha: family-wise error, or None for the bare gamma.
       trajectories: N.
       tests: in the family.
     """
-    checks.not_negative("threshold", threshold)
-    if alpha is None:
-        return threshold
-    return max(threshold, null_threshold(trajectories, tests, alpha))
+    if not isinstance(threshold, Tracer):
+        for one in np.ravel(threshold).tolist():
+            checks.not_negative("threshold", one)
+    gamma = jnp.asarray(threshold, float)
+    return (
+        gamma if alpha is None else jnp.maximum(gamma, null_threshold(trajectories, tests, alpha))
+    )
 
 
 def potential_causes(
@@ -101,8 +147,8 @@ def potential_causes(
     """Which observation may cause which action: some state is dependent on both.
 
     Args:
-      state_observation: [S, O] Hoeffding's D.
-      state_action: [S, H, A] Hoeffding's D.
+      state_observation: [S, O] the statistic.
+      state_action: [S, H, A] the statistic.
       threshold: [...], any shape.
     Returns:
       [..., O, H, A] bool; what may cause nothing is masked.

@@ -1,10 +1,14 @@
+"""Algorithm 1 against the loops that the paper prints."""
+
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf.independence import hoeffding_d, p_value, threshold
-from jaxdeconf.mask import find_mask
+from jaxdeconf.independence import hoeffding_d, p_value, refined_d, threshold
+from jaxdeconf.mask import MaskConfig, effective_threshold, find_mask, potential_causes
 from tests.reference import mask_by_loops
 
 
@@ -20,31 +24,100 @@ def trajectories(seed: int, n: int = 120) -> tuple[np.ndarray, np.ndarray, np.nd
     return states, observations, actions
 
 
+def late(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An action in each of two steps, of the last state coordinate and then of the first."""
+    states, observations, _ = trajectories(seed)
+    return states, observations, np.stack([states[:, 2:], states[:, :1]], axis=1)
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("gamma", [1e-3, 0.02, 0.3])
 def test_is_algorithm_1(seed, gamma):
     data = trajectories(seed)
-    np.testing.assert_array_equal(
-        find_mask(*data, threshold=gamma).mask, mask_by_loops(*data, gamma)
-    )
+    found = find_mask(*data, threshold=gamma, alpha=None)
+    np.testing.assert_array_equal(found.mask, mask_by_loops(*data, gamma))
 
 
 def test_masks_the_nuisances_and_shows_why():
     states, observations, actions = trajectories(0, n=2000)
     found = find_mask(states, observations, actions, alpha=0.01)
+    d = hoeffding_d(states, np.concatenate([observations, actions[..., 0]], axis=1))
     np.testing.assert_array_equal(found.mask, [False, False, True, True])
     assert found.potential_cause.shape == (4, 2, 1)
     np.testing.assert_array_equal(found.potential_cause[:2], True)
     assert found.state_action.shape == found.p_state_action.shape == (3, 2, 1)
-    np.testing.assert_array_equal(found.state_observation, hoeffding_d(states, observations))
+    np.testing.assert_array_equal(found.state_observation, d[:, :4])
+    np.testing.assert_array_equal(found.state_action[..., 0], d[:, 4:])
     np.testing.assert_array_equal(found.p_state_observation, p_value(found.state_observation, 2000))
 
 
 def test_alpha_only_ever_raises_the_threshold():
     data = trajectories(1)
-    assert find_mask(*data).threshold == 1e-3
-    assert find_mask(*data, alpha=0.05).threshold == threshold(120, 3 * (4 + 2 * 1), 0.05)
-    assert find_mask(*data, threshold=0.9, alpha=0.05).threshold == 0.9
+    least = threshold(120, 3 * (4 + 2 * 1), 0.05)
+    assert find_mask(*data, alpha=None).threshold == np.float32(1e-3)
+    assert find_mask(*data).threshold == np.float32(least)  # 0.05 unless told otherwise
+    assert find_mask(*data, threshold=0.9).threshold == np.float32(0.9)
+    several = find_mask(*data, threshold=[0.0, 0.5, 0.9], alpha=1e-6).threshold
+    np.testing.assert_allclose(several, np.maximum([0, 0.5, 0.9], threshold(120, 18, 1e-6)))
+    assert effective_threshold(1e-3, 0.05, 120, 18) == np.float32(least)
+
+
+def test_alpha_masks_what_chance_alone_would_keep():
+    """Of a hundred nuisances of chance, the bare gamma keeps a third and alpha next to none."""
+    states, _, actions = trajectories(0)
+    noise = np.random.default_rng(5).normal(size=(25, 120, 4))
+    found = [[find_mask(states, o, actions, alpha=a).mask for o in noise] for a in (None, 0.05)]
+    bare, held = 100 - np.asarray(found).sum(axis=(1, 2))
+    assert 25 <= bare <= 60
+    assert held <= 2
+
+
+@pytest.mark.parametrize("alpha", [None, 0.05])
+def test_several_thresholds_at_once_are_one_at_a_time(alpha):
+    data, gammas = late(2), np.array([[0.0, 1e-3, 0.02], [0.05, 0.3, 0.99]])
+    together = find_mask(*data, gammas, alpha)
+    assert together.mask.shape == (2, 3, 4)
+    assert together.potential_cause.shape == (2, 3, 4, 2, 1)
+    assert len(np.unique(np.asarray(together.mask).reshape(6, 4), axis=0)) > 1
+    for place in np.ndindex(2, 3):
+        alone = find_mask(*data, float(gammas[place]), alpha)
+        np.testing.assert_array_equal(together.mask[place], alone.mask)
+        np.testing.assert_array_equal(together.potential_cause[place], alone.potential_cause)
+        assert together.threshold[place] == alone.threshold
+
+
+def test_the_mask_within_fewer_steps_is_that_of_fewer_steps():
+    states, observations, actions = late(3)
+    gammas = np.array([1e-3, 0.05])
+    whole = find_mask(states, observations, actions, gammas, None)
+    for horizon in (1, 2):
+        fewer = find_mask(states, observations, actions[:, :horizon], gammas, None)
+        np.testing.assert_array_equal(whole.within(horizon), fewer.mask)
+    # Under alpha, it is that of the same threshold, which more tests have raised.
+    whole = find_mask(states, observations, actions)
+    fewer = find_mask(states, observations, actions[:, :1], whole.threshold, None)
+    np.testing.assert_array_equal(whole.within(1), fewer.mask)
+    np.testing.assert_array_equal(whole.within(1), [True, True, False, True])
+    np.testing.assert_array_equal(whole.within(2), [False, True, False, True])
+
+
+def test_potential_causes_are_those_of_the_loops():
+    rng = np.random.default_rng(6)
+    observed, acted, gammas = rng.uniform(size=(3, 4)), rng.uniform(size=(3, 2, 5)), [0.3, 0.7, 0.9]
+    found = potential_causes(observed, acted, np.array(gammas))
+    for place, o, t, a in np.ndindex(3, 4, 2, 5):
+        gamma = gammas[place]
+        wanted = any(observed[s, o] > gamma and acted[s, t, a] > gamma for s in range(3))
+        assert found[place, o, t, a] == wanted
+
+
+def test_the_refined_statistic_is_the_papers_alternative():
+    states, observations, actions = trajectories(4)
+    found = find_mask(states, observations, actions, statistic="refined")
+    r = refined_d(states, np.concatenate([observations, actions[..., 0]], axis=1))
+    np.testing.assert_array_equal(found.state_observation, r[:, :4])
+    np.testing.assert_array_equal(found.state_action[..., 0], r[:, 4:])
+    np.testing.assert_array_equal(found.mask, [False, False, True, True])
 
 
 def test_constant_states_mask_everything():
@@ -56,11 +129,19 @@ def test_jit_jax_arrays_and_mixed_types():
     states, observations, actions = (v.astype(np.float32) for v in trajectories(3))
     want = find_mask(states, observations, actions)
     for got in (
-        jax.jit(find_mask)(states, observations, actions),
+        jax.jit(find_mask)(states, observations, actions, jnp.array(1e-3)),
         find_mask(states.astype(float), jnp.asarray(observations), actions),
     ):
         np.testing.assert_array_equal(got.mask, want.mask)
         np.testing.assert_allclose(got.state_action, want.state_action, atol=1e-7)
+
+
+def test_the_defaults_are_those_of_the_config():
+    data, config = trajectories(1), MaskConfig()
+    given = find_mask(*data, config.threshold, config.alpha, config.statistic)
+    for a, b in zip(find_mask(*data), given, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert replace(config, alpha=None, statistic="refined").threshold == config.threshold == 1e-3
 
 
 def test_wrong_arguments():

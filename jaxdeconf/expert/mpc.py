@@ -17,8 +17,10 @@ from jaxdeconf import checks
 from jaxdeconf.expert import ilqr
 from jaxdeconf.systems import System, Trajectories
 from jaxdeconf.systems.rollout import Policy, rollout_with_memory
+from jaxdeconf.traced import traceable
 
 
+@traceable
 @dataclass(frozen=True)
 class ExpertConfig:
     """How the expert plans. The paper says only that it is MPC: the numbers are ours."""
@@ -55,34 +57,28 @@ class Memory(NamedTuple):
     unconverged: Array  # [] int, steps so far whose plan had not converged
 
 
-def plan(
-    system: System,
-    initial_states: ArrayLike,
-    horizon: int = ExpertConfig.horizon,
-    config: ExpertConfig | None = None,
-) -> Plans:
+def plan(system: System, initial_states: ArrayLike, config: ExpertConfig | None = None) -> Plans:
     """Optimal open-loop plans from N initial states.
 
     Args:
       system: what moves.
       initial_states: [N, S] finite, in the system's units.
-      horizon: K >= 1, actions in a plan.
-      config: its `initial_iterations` and `tolerance` are used; the default is `ExpertConfig()`.
+      config: all but its `step_iterations` is used, `horizon` as K; the default is
+        `ExpertConfig()`.
     Returns:
       Plans: actions [N, K, A] within the limits, cost [N], converged [N].
     Raises:
-      ValueError: if `initial_states` has another shape or is not finite, or `horizon` < 1.
+      ValueError: if `initial_states` has another shape or is not finite.
     """
-    config = config or ExpertConfig()
+    config = ExpertConfig() if config is None else config
     checks.instance("config", config, ExpertConfig)
-    states = _states(system, initial_states)
-    return _plan(system, states, checks.integer("horizon", horizon), config)
+    return _plan(system, _states(system, initial_states), config)
 
 
-@partial(jax.jit, static_argnums=(0, 2, 3))
-def _plan(system: System, states: Array, horizon: int, config: ExpertConfig) -> Plans:
+@partial(jax.jit, static_argnums=(0, 2))
+def _plan(system: System, states: Array, config: ExpertConfig) -> Plans:
     def one(state: Array) -> Plans:
-        solution = _solve_cold(system, state, horizon, config.initial_iterations)
+        solution = _solve_cold(system, state, config)
         return Plans(solution.actions, solution.cost, _converged(solution, config))
 
     return jax.vmap(one)(states)
@@ -98,11 +94,9 @@ def receding_horizon(
       policy: improves the remembered plan at the present state, takes its first action, and
         remembers the rest with the last action twice.
     """
-    checks.instance("system", system, System)
-    checks.instance("config", config, ExpertConfig)
 
     def initial_memory(state: Array) -> Memory:
-        solution = _solve_cold(system, state, config.horizon, config.initial_iterations)
+        solution = _solve_cold(system, state, config)
         return Memory(solution.actions, jnp.zeros((), jnp.int32))
 
     def policy(memory: Memory, state: Array, previous_action: Array, key: Array):
@@ -131,7 +125,7 @@ def expert_trajectories(
     Raises:
       ValueError: if `initial_states` has another shape or is not finite.
     """
-    config = config or ExpertConfig()
+    config = ExpertConfig() if config is None else config
     checks.instance("config", config, ExpertConfig)
     checks.key("key", key)
     return _trajectories(system, _states(system, initial_states), key, config)
@@ -151,9 +145,10 @@ def _trajectories(
     return jax.vmap(one)(states, jax.random.split(key, len(states)))
 
 
-def _solve_cold(system: System, state: Array, horizon: int, iterations: int) -> ilqr.Solution:
+def _solve_cold(system: System, state: Array, config: ExpertConfig) -> ilqr.Solution:
     """The best of the solutions from each of the system's own first plans."""
-    starts = system.initial_plans(state, horizon)
+    starts = system.initial_plans(state, config.horizon)
+    iterations = config.initial_iterations
     if len(starts) == 1:
         return ilqr.solve(system, state, starts[0], iterations)
     # One after another, for the reason given at the line search of `ilqr`.

@@ -1,39 +1,46 @@
-"""Behaviour cloning: regress the expert's action on the last two frames (paper, Section III-A).
+"""Behaviour cloning: regress the expert's action on the last L frames (paper, Section III-A).
 
-Shapes: N trajectories, T time, B batch, L = 2 frames, A action.
+Shapes: n samples, B batch, L frames, H × W pixels, A action.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxdeconf import checks
-from jaxdeconf.learn.fit import FitConfig, FitState, Loss, Variables, fit, start
+from jaxdeconf.keys import named
+from jaxdeconf.learn.fit import FitConfig, FitState, Loss, Objective, Training, Variables, start
 from jaxdeconf.nets import resnet
+from jaxdeconf.traced import Traced, traceable
 from jaxdeconf.vision import raster
 
+# (its parameters, images uint8 [B, H, W, 3]) -> what the network is shown, uint8 [B, H, W, 3]
+View = Callable[[Any, Array], Array]
 
+
+@traceable
 @dataclass(frozen=True)
 class CloneConfig(FitConfig):
     """The policy's training and network; the defaults are the paper's where it gives them."""
 
     epochs: float = 100.0  # ours: the paper gives none
     batch_size: int = 256  # the paper's
+    frames: int = 2  # L, the frames that it sees, the present one last; the paper's
     # Steps of each trajectory that are cloned, from the first; None is all, the paper's.
     trajectory_steps: int | None = None
     # Errors of the action over its limit count squared up to here and linearly beyond (Huber 1964);
     # None is the squared error, the paper's. Ours, for short trainings: no frame shows the first
     # step's velocity, so its error is ten times the others' and cannot be learnt.
-    huber: float | None = None
+    huber: Traced | None = None
     network: resnet.ResNetConfig = field(default_factory=resnet.ResNetConfig)
-
-    TRACED: ClassVar[tuple[str, ...]] = (*FitConfig.TRACED, "huber")
 
     def __post_init__(self):
         super().__post_init__()
+        checks.integer("frames", self.frames, most=4)
         if self.trajectory_steps is not None:
             checks.integer("trajectory_steps", self.trajectory_steps)
         if self.huber is not None:
@@ -41,39 +48,58 @@ class CloneConfig(FitConfig):
         checks.instance("network", self.network, resnet.ResNetConfig)
 
 
+# For a CPU and data of any size, in a minute: an early-pooling stem, narrow, and few steps.
+CPU = CloneConfig(
+    steps=1250,
+    batch_size=32,
+    learning_rate=2e-3,
+    decay=0.02,
+    huber=0.1,
+    network=resnet.ResNetConfig(width=16, stem="imagenet"),
+)
+
+
 class Demonstrations(NamedTuple):
     """What is cloned: n samples, one for each time step of each trajectory, in order."""
 
-    frames: Array  # [n, 64, 64, 3] uint8, as the policy's view shows them
-    first: Array  # [n] bool, the first step of its trajectory: no frame before it
+    frames: Array  # [n, H, W, 3] uint8, as the policy's view shows them
+    step: Array  # [n] int32, steps since the first of its trajectory
     actions: Array  # [n, A] over the limit, in [-1, 1]
+    previous_actions: Array | None = None  # [n, A], for losses that need them
 
 
-def stack(previous: Array, current: Array) -> Array:
-    """[B, 64, 64, 6] float in [0, 1], the network's input, of two uint8 frames [B, 64, 64, 3]."""
-    form = "[B, H, W, 3]"
-    current = checks.array("current", current, form, (None, None, None, 3), of="uint8")
-    previous = checks.array("previous", previous, form, current.shape, of="uint8")
-    return raster.dequantize(jnp.concatenate([previous, current], axis=-1))
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Policy:
+    """A cloned policy: what it is shown, and its network. A pytree of its weights."""
+
+    view: View = field(metadata={"static": True})
+    network: resnet.ResNetConfig = field(metadata={"static": True})
+    frames: int = field(metadata={"static": True})  # L
+    parameters: Any  # of the view
+    variables: Variables  # of the network
+
+    def see(self, images: Array) -> Array:
+        """What the view makes of uint8 images [B, H, W, 3]."""
+        return self.view(self.parameters, images)
+
+    def act(self, seen: Sequence[Array]) -> Array:
+        """Actions [B, A] over the limit, for L batches of seen frames, the present one last."""
+        return resnet.apply(self.network, self.variables, stack(seen), train=False)[0]
+
+
+def stack(frames: Sequence[Array]) -> Array:
+    """[B, H, W, 3 L] float in [0, 1], the network's input, of L uint8 frames [B, H, W, 3]."""
+    return raster.dequantize(jnp.concatenate(list(frames), axis=-1))
 
 
 def blank(frames: Array) -> Array:
-    """The frame before the first: black, which no frame of a trajectory is."""
+    """A frame from before the first: black, which no frame of a trajectory is."""
     return jnp.zeros_like(frames)
-
-
-def initial_state(config: CloneConfig, frame_shape: tuple[int, ...], actions: int, key: Array):
-    """Fresh weights of a policy for frames of [H, W, C] and A = actions."""
-    if not isinstance(frame_shape, tuple) or len(frame_shape) != 3:
-        raise ValueError(f"frame_shape: expected (height, width, channels), got {frame_shape!r}")
-    height, width, channels = frame_shape
-    return start(resnet.init(config.network, key, (height, width, 2 * channels), actions))
 
 
 def action_error(config: CloneConfig, predicted: Array, actions: Array) -> Array:
     """[] mean squared, or Huber, error of actions [B, A] over their limit."""
-    predicted = checks.array("predicted", predicted, "[B, A]", (None, None))
-    checks.array("actions", actions, "[B, A]", predicted.shape)
     error = jnp.abs(predicted - actions)
     if config.huber is None:
         return jnp.mean(error**2)
@@ -82,37 +108,58 @@ def action_error(config: CloneConfig, predicted: Array, actions: Array) -> Array
     )
 
 
+def stacked(config: CloneConfig, data: Demonstrations, indices: Array) -> Array:
+    """[B, H, W, 3 L] the network's input for the samples that are named."""
+
+    def ago(steps: int) -> Array:
+        frames = data.frames[jnp.maximum(indices - steps, 0)]
+        before = (data.step[indices] < steps)[:, None, None, None]
+        return jnp.where(before, blank(frames), frames) if steps else frames
+
+    return stack([ago(steps) for steps in reversed(range(config.frames))])
+
+
 def objective(config: CloneConfig) -> Loss:
     """The error of the action, for `fit`; data are Demonstrations."""
 
     def loss(variables: Variables, data: Demonstrations, indices: Array, key: Array, step: Array):
-        current = data.frames[indices]
-        first = data.first[indices][:, None, None, None]
-        previous = jnp.where(first, blank(current), data.frames[jnp.maximum(indices - 1, 0)])
-        predicted, stats = resnet.apply(
-            config.network, variables, stack(previous, current), train=True
-        )
+        images = stacked(config, data, indices)
+        predicted, stats = resnet.apply(config.network, variables, images, train=True)
         return action_error(config, predicted, data.actions[indices]), (stats, {})
 
     return loss
 
 
-def clone(
-    config: CloneConfig, state: FitState, data: Demonstrations, key: Array, stops: Sequence[int]
-) -> Iterator[tuple[FitState, dict[str, Array]]]:
-    """Trains a policy on demonstrations; yields as `fit` does, and at every step in `stops`.
+def training(
+    config: CloneConfig,
+    data: Callable[[], Demonstrations],
+    samples: int,
+    view: View,
+    parameters: Any,
+    key: Array,
+    objective: Objective = objective,
+) -> Training:
+    """A policy's training, not yet begun.
 
-    Raises:
-      ValueError: if the demonstrations are not what Demonstrations says, or too few for a batch.
+    Args:
+      config: how it is trained, and its network.
+      data: makes the demonstrations, as the view shows them.
+      samples: how many those are.
+      view: what the policy is going to be shown, as it was in `data`.
+      parameters: of the view.
+      key: its random choices follow from it by name, the same for all policies: these differ in
+        what they are shown, and in nothing else.
+      objective: config -> loss.
     """
-    checks.instance("config", config, CloneConfig)
-    checks.instance("data", data, Demonstrations)
-    frames = checks.array("frames", data.frames, "[n, H, W, 3]", (None, None, None, 3), of="uint8")
-    checks.array("first", data.first, f"[{len(frames)}]", (len(frames),), of="bool")
-    checks.array("actions", data.actions, f"[{len(frames)}, A]", (len(frames), None), finite=True)
-    return fit(objective, state, data, len(data.actions), key, config, stops)
 
+    def begin(data: Demonstrations) -> FitState:
+        height, width, channels = data.frames.shape[1:]
+        shape = height, width, config.frames * channels
+        first = named(key, "policy initial weights")
+        return start(resnet.init(config.network, first, shape, data.actions.shape[1]))
 
-def act(config: resnet.ResNetConfig, variables: Variables, previous: Array, current: Array):
-    """The policy's actions [B, A], over the limit, for two uint8 frames [B, 64, 64, 3] each."""
-    return resnet.apply(config, variables, stack(previous, current), train=False)[0]
+    def trained(state: FitState) -> Policy:
+        return Policy(view, config.network, config.frames, parameters, state.variables)
+
+    shuffles = named(key, "cloning")
+    return Training(objective, config, samples, shuffles, data, begin, trained, parameters)

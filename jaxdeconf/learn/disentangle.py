@@ -5,19 +5,20 @@ which the paper cites: the reconstruction error is a mean over pixels of range [
 divergence weighs β · M_N. Shapes: n frames, B batch, P pixels, O latents.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import ClassVar, Literal
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxdeconf import checks
-from jaxdeconf.learn.fit import FitConfig, FitState, Loss, Variables, fit, start
+from jaxdeconf.keys import named
+from jaxdeconf.learn.fit import FitConfig, FitState, Loss, Training, Variables, start
 from jaxdeconf.learn.linear_start import linear_start
 from jaxdeconf.nets import coordinates, vae
+from jaxdeconf.traced import Traced, traceable
 from jaxdeconf.vision import raster
 
 # PyTorch-VAE's weight of the KL term, its batch size over its dataset's.
@@ -30,18 +31,20 @@ _ENCODE_BATCH = 256
 _START_FRAMES = 4096
 
 
+@traceable
 @dataclass(frozen=True)
 class DisentangleConfig(FitConfig):
-    """The β-VAE's training, objective and network; the defaults are the paper's for CartPole."""
+    """The β-VAE's training, objective and network; a paper's default is one for all its systems."""
 
     epochs: float = 100.0  # the paper's
-    learning_rate: float = 0.005  # the paper's, for CartPole
-    decay: float = 0.95  # the paper's
+    learning_rate: Traced = 1e-3  # ours: the paper's differ from system to system
+    batch_size: int = 64  # ours: the paper's differ
+    decay: Traced = 0.95  # the paper's
     # H: mse + β M_N KL; B: mse + β M_N |KL - C|. The paper does not say; B is its code's default,
     # and under H its β = 100 would weigh 77 squared units a nat and silence every latent.
     objective: Literal["H", "B"] = "B"
-    beta: float = 100.0  # weight of the KL term; the paper's, for CartPole
-    capacity: float = 25.0  # nats; B's C rises linearly to it. PyTorch-VAE's
+    beta: Traced = 1.0  # weight of the KL term; ours: the paper's differ
+    capacity: Traced = 25.0  # nats; B's C rises linearly to it. PyTorch-VAE's
     capacity_steps: int = 100_000  # steps of that rise; PyTorch-VAE's 1e5
     # 2×2 patches, drawn at random, that a step compares; None, the paper's, is the whole image.
     # Ours, for a CPU: a quarter of the image costs a quarter. Only with the decoder by place.
@@ -50,12 +53,9 @@ class DisentangleConfig(FitConfig):
     start_components: int | None = None
     network: vae.VAEConfig = field(default_factory=vae.VAEConfig)
 
-    TRACED: ClassVar[tuple[str, ...]] = (*FitConfig.TRACED, "beta", "capacity")
-
     def __post_init__(self):
         super().__post_init__()
-        if self.objective not in ("H", "B"):
-            raise ValueError(f"objective: expected 'H' or 'B', got {self.objective!r}")
+        checks.one_of("objective", self.objective, ("H", "B"))
         checks.not_negative("beta", self.beta)
         checks.not_negative("capacity", self.capacity)
         checks.integer("capacity_steps", self.capacity_steps)
@@ -64,11 +64,83 @@ class DisentangleConfig(FitConfig):
             least = self.network.latents
             checks.integer("start_components", self.start_components, least=least)
         if self.patches is not None:
-            checks.integer("patches", self.patches, most=self.network.patches)
+            checks.integer("patches", self.patches)
             if self.network.decoder != "coordinates":
                 raise ValueError(
                     f"patches: expected None for decoder 'convolutions', got {self.patches}"
                 )
+
+
+# For a CPU and data of any size, in minutes: a linear start, since from random weights so few steps
+# never reach the nuisance; narrow networks; as many steps, whatever the number of frames.
+CPU = DisentangleConfig(
+    steps=1400,
+    decay=0.1,
+    objective="H",
+    beta=2.0,
+    start_components=16,
+    network=vae.VAEConfig(channels=(8, 16, 32, 32, 64), latents=12, linear_path=True),
+)
+
+
+def check_size(config: DisentangleConfig, size: tuple[int, int]) -> None:
+    """Refuses images [H, W] = size that the network cannot take.
+
+    Raises:
+      ValueError: naming the size, or the number of patches if there are not so many.
+    """
+    vae.check_size(config.network, size)
+    if config.patches is not None:
+        checks.integer("patches", config.patches, most=coordinates.patch_count(size))
+
+
+class Encoder(NamedTuple):
+    """A trained β-VAE, and which of its latents carry anything."""
+
+    network: vae.VAEConfig
+    variables: Variables
+    kl: Array  # [O] nats, on frames that it was not trained on
+    active: Array  # [O] bool; the others are set to 0, the prior's mean, wherever they are used
+
+
+def check_images(encoder: Encoder, size: tuple[int, int]) -> None:
+    """Refuses images of another size, (H, W), than those that an encoder learnt.
+
+    Raises:
+      ValueError: naming the size.
+    """
+    fresh = jax.eval_shape(lambda key: vae.init(encoder.network, key, size), jax.random.key(0))
+    if jax.tree.map(jnp.shape, fresh) != jax.tree.map(jnp.shape, encoder.variables):
+        shown = f"{size[0]} × {size[1]}"
+        raise ValueError(f"images: expected the size that the encoder learnt, got {shown}")
+
+
+def training(
+    config: DisentangleConfig,
+    images: Callable[[], Array],
+    count: int,
+    held_out: Callable[[], Array],
+    key: Array,
+) -> Training:
+    """The β-VAE's training, not yet begun.
+
+    Args:
+      config: objective and network.
+      images: makes the uint8 images [n, H, W, 3] that it learns.
+      count: n.
+      held_out: makes others, which say which latents are active.
+      key: its random choices follow from it by name.
+    """
+
+    def begin(images: Array) -> FitState:
+        return initial_state(config, images, named(key, "VAE initial weights"))
+
+    def trained(state: FitState) -> Encoder:
+        mean, log_variance = encode(config.network, state.variables, held_out())
+        kl = kl_divergence(mean, log_variance).mean(axis=0)
+        return Encoder(config.network, state.variables, kl, kl > ACTIVE_KL)
+
+    return Training(objective, config, count, named(key, "VAE training"), images, begin, trained)
 
 
 def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitState:
@@ -76,13 +148,11 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
 
     Args:
       config: network and objective.
-      images: uint8 [n, 64, 64, 3].
+      images: uint8 [n, H, W, 3].
       key: initial weights, and the frames that fit the linear start.
     """
-    _check_images(config.network, images)
-    checks.key("key", key)
     weights_key, choice_key, start_key = jax.random.split(key, 3)
-    variables = vae.init(config.network, weights_key)
+    variables = vae.init(config.network, weights_key, images.shape[1:3])
     if config.network.linear_path:
         count = min(_START_FRAMES, len(images))
         chosen = jax.random.choice(choice_key, len(images), (count,), replace=False)
@@ -98,26 +168,25 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
 
 def kl_divergence(mean: Array, log_variance: Array) -> Array:
     """[B, O] nats, of each latent's posterior from N(0, 1)."""
-    mean = checks.array("mean", mean, "[B, O]", (None, None))
-    log_variance = checks.array("log_variance", log_variance, "[B, O]", mean.shape)
     return 0.5 * (mean**2 + jnp.exp(log_variance) - log_variance - 1.0)
 
 
 def objective(config: DisentangleConfig) -> Loss:
-    """The β-VAE loss of a config, for `fit`; data are images, uint8 [n, 64, 64, 3]."""
+    """The β-VAE loss of a config, for `fit`; data are images, uint8 [n, H, W, 3]."""
 
     def loss(variables: Variables, images: Array, indices: Array, key: Array, step: Array):
-        batch = raster.dequantize(images[indices])
+        batch, size = raster.dequantize(images[indices]), images.shape[1:3]
         mean, log_variance, stats = vae.encode(config.network, variables, batch, train=True)
         noise_key, patch_key = (key, None) if config.patches is None else jax.random.split(key)
         latents = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(noise_key, mean.shape)
         if patch_key is None:
             decoded, stats = vae.decode(
-                config.network, {**variables, "batch_stats": stats}, latents, train=True
+                config.network, {**variables, "batch_stats": stats}, latents, size, train=True
             )
         else:
-            chosen = jax.random.permutation(patch_key, config.network.patches)[: config.patches]
-            decoded = vae.decode_patches(config.network, variables, latents, chosen)
+            order = jax.random.permutation(patch_key, coordinates.patch_count(size))
+            chosen = order[: config.patches]
+            decoded = vae.decode_patches(config.network, variables, latents, size, chosen)
             batch = coordinates.to_patches(batch)[:, chosen]
         squared_error = jnp.mean((2.0 * (decoded - batch)) ** 2)  # in the range [-1, 1]
         divergence = kl_divergence(mean, log_variance).sum(axis=1).mean()
@@ -131,19 +200,9 @@ def objective(config: DisentangleConfig) -> Loss:
     return loss
 
 
-def disentangle(
-    config: DisentangleConfig, state: FitState, images: Array, key: Array
-) -> Iterator[tuple[FitState, dict[str, Array]]]:
-    """Trains the β-VAE on images, uint8 [n, 64, 64, 3]; yields as `fit` does."""
-    checks.instance("config", config, DisentangleConfig)
-    _check_images(config.network, images)
-    return fit(objective, state, images, len(images), key, config)
-
-
-@partial(jax.jit, static_argnums=0)
+@jax.jit
 def encode(config: vae.VAEConfig, variables: Variables, images: Array) -> tuple[Array, Array]:
-    """Posterior mean and log-variance, [n, O] each, of uint8 images [n, 64, 64, 3]."""
-    _check_images(config, images)
+    """Posterior mean and log-variance, [n, O] each, of uint8 images [n, H, W, 3]."""
 
     def one(image: Array) -> tuple[Array, Array]:
         mean, log_variance, _ = vae.encode(
@@ -152,8 +211,3 @@ def encode(config: vae.VAEConfig, variables: Variables, images: Array) -> tuple[
         return mean[0], log_variance[0]
 
     return jax.lax.map(one, images, batch_size=_ENCODE_BATCH)
-
-
-def _check_images(config: vae.VAEConfig, images: Array) -> None:
-    side = config.image_size
-    checks.array("images", images, f"[n, {side}, {side}, 3]", (None, side, side, 3), of="uint8")

@@ -5,10 +5,11 @@ stops. `fit` yields at every chunk's edge and keeps no state of its own: what it
 go on from, to the last bit.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,32 +17,33 @@ import optax
 from jax import Array
 
 from jaxdeconf import checks
+from jaxdeconf.traced import Traced, traceable
 
 Variables = dict[str, Any]  # {"params": trained, "batch_stats": carried along}
 
 # (variables, data, indices [B], key, step []) -> (loss [], (new batch_stats, metrics))
 Loss = Callable[[Variables, Any, Array, Array, Array], tuple[Array, tuple[Any, dict[str, Array]]]]
-
-
-# A config -> its loss. Numbers of the config may be traced (see `Models`), so it must not hash it.
+# A config -> its loss. The config's `Traced` fields are traced: it must neither hash nor branch on
+# them. The same function whenever the same program is meant.
 Objective = Callable[[Any], Loss]
 
 _MOST_STEPS = 2**31 - 1  # the step is int32
 
 
+@traceable
 @dataclass(frozen=True)
 class FitConfig:
     """How a network is trained: Adam (Kingma & Ba 2015), exponential decay of its learning rate."""
 
     epochs: float = 1.0  # passes over the samples; a fraction stops within a pass
+    # Steps in all, whatever the number of samples, in place of `epochs`. Ours: a budget that fits
+    # data of any size.
+    steps: int | None = None
     batch_size: int = 64  # samples a step
-    learning_rate: float = 1e-3  # Adam's, at the start
-    decay: float = 0.96  # the learning rate's factor an epoch
+    learning_rate: Traced = 1e-3  # Adam's, at the start
+    decay: Traced = 0.96  # the learning rate's factor an epoch, or with `steps` over all of them
     chunk: int = 64  # steps a jitted call; ours: seconds on a CPU, the bar's and a stop's grain
-    weight_decay: float = 0.0  # decoupled from the gradient (Loshchilov & Hutter 2019); ours: none
-
-    # Fields that may differ between models of one program.
-    TRACED: ClassVar[tuple[str, ...]] = ("learning_rate", "decay", "weight_decay")
+    weight_decay: Traced = 0.0  # decoupled from the gradient (Loshchilov & Hutter 2019); ours: none
 
     def __post_init__(self):
         for name in ("epochs", "learning_rate", "decay"):
@@ -49,6 +51,8 @@ class FitConfig:
         checks.not_negative("weight_decay", self.weight_decay)
         for name in ("batch_size", "chunk"):
             checks.integer(name, getattr(self, name))
+        if self.steps is not None:
+            checks.integer("steps", self.steps)
 
     def steps_per_epoch(self, samples: int) -> int:
         """Whole batches in one pass; the samples left over differ from pass to pass."""
@@ -58,9 +62,12 @@ class FitConfig:
             )
         return samples // self.batch_size
 
-    def steps(self, samples: int) -> int:
+    def total_steps(self, samples: int) -> int:
         """Steps of the whole training on so many samples."""
-        steps = max(1, round(self.epochs * self.steps_per_epoch(samples)))
+        per_epoch = self.steps_per_epoch(samples)
+        if self.steps is not None:
+            return self.steps
+        steps = max(1, round(self.epochs * per_epoch))
         if steps > _MOST_STEPS:
             raise ValueError(
                 f"epochs: expected at most {_MOST_STEPS} steps in all, got {self.epochs} epochs"
@@ -78,19 +85,17 @@ class FitState(NamedTuple):
 
 def start(variables: Variables) -> FitState:
     """The state before the first step, from {"params": ..., "batch_stats": ...}."""
-    if not isinstance(variables, dict) or set(variables) != {"params", "batch_stats"}:
-        got = sorted(variables) if isinstance(variables, dict) else type(variables).__name__
-        raise ValueError(f"variables: expected a dict of params and batch_stats, got {got}")
     return FitState(variables, optax.scale_by_adam().init(variables["params"]), jnp.int32(0))
 
 
-def learning_rate(config: FitConfig, steps_per_epoch: int, step: Array) -> Array:
+def learning_rate(config: FitConfig, samples: int, step: Array) -> Array:
     """[] the learning rate of a step; it decays smoothly, so that short trainings have it too."""
-    return config.learning_rate * config.decay ** (step / steps_per_epoch)
+    over = config.steps or config.steps_per_epoch(samples)
+    return config.learning_rate * config.decay ** (step / over)
 
 
 def train(
-    loss: Loss,
+    objective: Objective,
     config: FitConfig,
     samples: int,
     state: FitState,
@@ -100,7 +105,7 @@ def train(
     length: Array,
 ) -> tuple[FitState, dict[str, Array]]:
     """`length` steps within one epoch, and the mean of their metrics; config may be traced."""
-    steps_per_epoch = config.steps_per_epoch(samples)
+    loss, steps_per_epoch = objective(config), config.steps_per_epoch(samples)
     shuffle_key, noise_key = jax.random.split(key)
     epoch = state.step // steps_per_epoch
     order = jax.random.permutation(jax.random.fold_in(shuffle_key, epoch), samples) + first_sample
@@ -121,9 +126,8 @@ def train(
             params
         )
         updates, moments = adam.update(gradient, state.moments)
-        if isinstance(config.weight_decay, Array) or config.weight_decay:
-            updates = jax.tree.map(lambda u, p: u + config.weight_decay * p, updates, params)
-        rate = learning_rate(config, steps_per_epoch, state.step)
+        updates = jax.tree.map(lambda u, p: u + config.weight_decay * p, updates, params)
+        rate = learning_rate(config, samples, state.step)
         params = jax.tree.map(lambda p, u: p - rate * u, params, updates)
         variables = {**state.variables, "params": params, "batch_stats": batch_stats}
         return FitState(variables, moments, state.step + 1), {"loss": value, **metrics}
@@ -139,22 +143,22 @@ def train(
     return state, jax.tree.map(lambda a: a / length, total)
 
 
-@partial(jax.jit, static_argnames=("objective", "config", "samples"), donate_argnames="state")
+@partial(jax.jit, static_argnames=("objective", "samples"), donate_argnames="state")
 def _chunk(
     objective: Objective,
-    config: FitConfig,
     samples: int,
     state: FitState,
     data: Any,
+    config: FitConfig,
     key: Array,
     length: Array,
 ) -> tuple[FitState, dict[str, Array]]:
-    return train(objective(config), config, samples, state, data, 0, key, length)
+    return train(objective, config, samples, state, data, 0, key, length)
 
 
 def lengths(config: FitConfig, samples: int, step: int, stops: Sequence[int]) -> Iterator[int]:
     """The lengths of the chunks from a step on."""
-    per_epoch, last = config.steps_per_epoch(samples), config.steps(samples)
+    per_epoch, last = config.steps_per_epoch(samples), config.total_steps(samples)
     while step < last:
         length = min(config.chunk, per_epoch - step % per_epoch, last - step)
         length = min([length, *(stop - step for stop in stops if stop > step)])
@@ -180,16 +184,54 @@ def fit(
       data: any pytree of arrays on the device; the loss picks what `indices` name.
       samples: how many there are to index.
       key: shuffles and whatever noise the loss draws.
-      config: how long and how fast.
+      config: how long and how fast. One program serves all values of its `Traced` fields.
       stops: steps, ascending, at which a chunk also ends.
     Yields:
       The state, and the chunk's mean of every metric.
-    Raises:
-      ValueError: if an argument is not what is said here; when the first chunk is asked for.
     """
-    checks.instance("state", state, FitState)
-    checks.key("key", key)
-    checks.instance("config", config, FitConfig)
     for length in lengths(config, samples, int(state.step), stops):
-        state, metrics = _chunk(objective, config, samples, state, data, key, jnp.int32(length))
+        state, metrics = _chunk(objective, samples, state, data, config, key, jnp.int32(length))
         yield state, metrics
+
+
+class Training(NamedTuple):
+    """A training before it begins: all that `fit` needs, and nothing of it made yet."""
+
+    objective: Objective
+    config: FitConfig
+    samples: int
+    key: Array  # shuffles and noise
+    data: Callable[[], Any]
+    start: Callable[[Any], FitState]  # from the data: its first state
+    trained: Callable[[FitState], Any]  # what a state of it is good for: an encoder, a policy
+    made_from: Any = None  # a pytree that the data depend on beside the demonstrations
+
+    def chunks(
+        self, name: str, state: FitState | None = None, stops: Sequence[int] = ()
+    ) -> Iterator[tuple[FitState, dict[str, float]]]:
+        """Trains, from its first state or a later one.
+
+        Yields:
+          As `fit` does, with the metrics as Python floats.
+        Raises:
+          FloatingPointError: with its name, the step at the chunk's end and the value, at a loss
+            that is not finite.
+        """
+        data = self.data()
+        begin = self.start(data) if state is None else state
+        chunks = fit(self.objective, begin, data, self.samples, self.key, self.config, stops)
+        for reached, metrics in chunks:
+            values = {metric: float(value) for metric, value in metrics.items()}
+            if not math.isfinite(values["loss"]):
+                raise FloatingPointError(f"{name}, step {reached.step}: loss is {values['loss']}")
+            yield reached, values
+
+
+# How a training is gone through: (its name, the training) -> its last state.
+Watch = Callable[[str, Training], FitState]
+
+
+def finish(name: str, training: Training) -> FitState:
+    """The plain watch: from the first step to the last, and nothing beside."""
+    *_, (state, _) = training.chunks(name)
+    return state

@@ -1,11 +1,10 @@
 """Many models of one shape trained by one program: the loop of `fit`, with an axis M of models.
 
-Models may differ in their weights, keys and samples, and in the numbers that a config's TRACED
-names. They are spread over the devices of a mesh; on each, `at_once` of them step together (`vmap`)
-and the rest follow. A model's numbers do not depend on who it is trained with.
+Models may differ in their weights, keys and samples, and in the `Traced` fields of their configs.
+They are spread over the devices of a mesh; on each, `at_once` of them step together (`vmap`) and
+the rest follow. A model's numbers do not depend on who it is trained with.
 """
 
-import dataclasses
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -15,7 +14,6 @@ import jax.numpy as jnp
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxdeconf import checks
 from jaxdeconf.learn.fit import FitConfig, FitState, Objective, lengths, train
 
 AXIS = "models"  # of the mesh
@@ -25,7 +23,7 @@ class Models(NamedTuple):
     """What tells models apart; each leaf has a leading axis M."""
 
     state: FitState
-    numbers: dict[str, Array]  # of the config's TRACED fields, [M] each; may be empty
+    config: FitConfig  # its leaves, the Traced fields, are [M]
     key: Array  # [M] shuffles and noise
     first_sample: Array  # [M] int32: where, in its device's data, each one's samples begin
 
@@ -35,7 +33,6 @@ def fit_many(
     models: Models,
     data: Any,
     samples: int,
-    config: FitConfig,
     mesh: Mesh,
     at_once: int = 1,
 ) -> Iterator[tuple[FitState, dict[str, Array]]]:
@@ -47,28 +44,22 @@ def fit_many(
         buffers of their states are donated.
       data: any pytree of arrays whose leading axis is split among the devices in the same way.
       samples: of each model.
-      config: of all models, but for their own `numbers`.
       mesh: one axis, AXIS.
       at_once: models that step together on a device; a divisor of M over D. On a CPU, 1.
     Raises:
-      ValueError: if an argument is not what is said here; when the first chunk is asked for.
+      ValueError: if M is no multiple of that; when the first chunk is asked for.
     """
-    checks.instance("models", models, Models)
-    checks.instance("config", config, FitConfig)
-    checks.integer("at_once", at_once)
     count, devices = len(models.first_sample), mesh.devices.size
     if count % (devices * at_once):
         raise ValueError(
             f"models: expected a multiple of {devices} devices × {at_once} at once, got {count}"
         )
-    for name in models.numbers:
-        checks.one_of("numbers", name, config.TRACED)
     split = NamedSharding(mesh, PartitionSpec(AXIS))
     models, data = jax.device_put((models, data), split)
     state, rest = models.state, models._replace(state=None)  # type: ignore
-    for length in lengths(config, samples, 0, ()):
+    for length in lengths(models.config, samples, 0, ()):
         state, metrics = _chunk(
-            objective, config, samples, mesh, at_once, state, rest, data, jnp.int32(length)
+            objective, samples, mesh, at_once, state, rest, data, jnp.int32(length)
         )
         # On one device XLA calls the same placement another name, which would compile again.
         state = jax.device_put(state, split)
@@ -77,12 +68,11 @@ def fit_many(
 
 @partial(
     jax.jit,
-    static_argnames=("objective", "config", "samples", "mesh", "at_once"),
+    static_argnames=("objective", "samples", "mesh", "at_once"),
     donate_argnames="state",
 )
 def _chunk(
     objective: Objective,
-    config: FitConfig,
     samples: int,
     mesh: Mesh,
     at_once: int,
@@ -103,9 +93,10 @@ def _chunk(
     )
     def on_device(models: Models, data: Any, length: Array) -> tuple[FitState, dict[str, Array]]:
         def one(model: Models) -> tuple[FitState, dict[str, Array]]:
-            own = dataclasses.replace(config, **model.numbers)
-            start, loss = model.first_sample, objective(own)
-            return train(loss, own, samples, model.state, data, start, model.key, length)
+            start = model.first_sample
+            return train(
+                objective, model.config, samples, model.state, data, start, model.key, length
+            )
 
         return jax.lax.map(one, models, batch_size=at_once if at_once > 1 else None)
 

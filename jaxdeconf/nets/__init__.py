@@ -1,1 +1,1 @@
-"""Networks: a convolution that is fast on a CPU, the β-VAE and the pre-activation ResNet-18."""
+"""Networks: the β-VAE and the pre-activation ResNet-18, on images of any size."""

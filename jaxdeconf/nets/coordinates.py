@@ -3,8 +3,8 @@
 The latents choose lines in the plane, and every patch sees on which side of each it lies, and how
 far: what moves and turns, like a link, is then a smooth function of few numbers, which transposed
 convolutions have to learn place by place (cf. Watters et al. 2019, "Spatial broadcast decoder").
-And a training step may draw some patches only. Shapes: B batch, S image side, O latents, N = S²/4
-patches, n of them, W width.
+And a training step may draw some patches only. Shapes: B batch, H × W pixels, O latents,
+N = H·W/4 patches, n of them.
 """
 
 import jax.numpy as jnp
@@ -16,27 +16,31 @@ SIDE = 2  # pixels of a patch
 CHANNELS = 3 * SIDE**2  # numbers a patch
 
 
+def patch_count(size: tuple[int, int]) -> int:
+    """N: the patches of an image of size (H, W)."""
+    return size[0] * size[1] // SIDE**2
+
+
 def to_patches(images: Array) -> Array:
-    """[B, N, 12] patches, row-major, of images [B, S, S, 3]."""
-    count, size = images.shape[:2]
-    side = size // SIDE
-    split = images.reshape(count, side, SIDE, side, SIDE, 3)
-    return split.swapaxes(2, 3).reshape(count, side * side, CHANNELS)
+    """[B, N, 12] patches, row-major, of images [B, H, W, 3]."""
+    batch, height, width = images.shape[:3]
+    split = images.reshape(batch, height // SIDE, SIDE, width // SIDE, SIDE, 3)
+    return split.swapaxes(2, 3).reshape(batch, -1, CHANNELS)
 
 
-def from_patches(patches: Array) -> Array:
-    """Images [B, S, S, 3] of all their patches [B, N, 12]."""
-    count, side = patches.shape[0], round(patches.shape[1] ** 0.5)
-    split = patches.reshape(count, side, side, SIDE, SIDE, 3)
-    return split.swapaxes(2, 3).reshape(count, side * SIDE, side * SIDE, 3)
+def from_patches(patches: Array, size: tuple[int, int]) -> Array:
+    """Images [B, H, W, 3] of size (H, W), of all their patches [B, N, 12]."""
+    split = patches.reshape(-1, size[0] // SIDE, size[1] // SIDE, SIDE, SIDE, 3)
+    return split.swapaxes(2, 3).reshape(-1, *size, 3)
 
 
-def places(size: int) -> np.ndarray:
-    """[N, 3] the centre (x, y) of each patch, ±4 across the image, and a 1."""
-    side = size // SIDE
-    centers = 4 * ((np.arange(side) + 0.5) / side * 2 - 1)
-    y, x = np.meshgrid(centers, centers, indexing="ij")
-    return np.stack([x.ravel(), y.ravel(), np.ones(side * side)], axis=1).astype(np.float32)
+def places(size: tuple[int, int]) -> np.ndarray:
+    """[N, 3] the centre (x, y) of each patch, ±4 across the image's shorter side, and a 1."""
+    rows, columns = (pixels // SIDE for pixels in size)
+    y, x = np.mgrid[:rows, :columns].reshape(2, -1) + 0.5
+    scale = 8 / min(rows, columns)
+    centers = [scale * (x - columns / 2), scale * (y - rows / 2), np.ones(len(x))]
+    return np.stack(centers, axis=1).astype(np.float32)
 
 
 class CoordinateDecoder(nn.Module):

@@ -5,6 +5,7 @@ models. Shapes: B batch, H × W pixels, C channels (3 a frame, L frames stacked)
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -13,13 +14,16 @@ from flax import linen as nn
 from jax import Array
 
 from jaxdeconf import checks
-from jaxdeconf.nets.conv import conv_general_dilated
+from jaxdeconf.nets import layers
+from jaxdeconf.nets.cpu import max_pool
 from jaxdeconf.nets.initial import draw
-from jaxdeconf.nets.pool import max_pool
+from jaxdeconf.nets.layers import Variables, dense
+from jaxdeconf.traced import traceable
 
-Variables = dict[str, Any]
+_conv = partial(layers.conv, use_bias=False)
 
 
+@traceable
 @dataclass(frozen=True)
 class ResNetConfig:
     """Shape of the network; hashable, so it can be a static argument of jit.
@@ -67,13 +71,6 @@ def init(
     Returns:
       {"params": ..., "batch_stats": ...}; `batch_stats` is empty without batch normalisation.
     """
-    checks.instance("config", config, ResNetConfig)
-    checks.key("key", key)
-    checks.integer("outputs", outputs)
-    if not isinstance(input_shape, tuple) or len(input_shape) != 3:
-        raise ValueError(f"input_shape: expected (height, width, channels), got {input_shape!r}")
-    for size in input_shape:
-        checks.integer("input_shape", size)
     shapes = jax.eval_shape(
         lambda: _ResNet(config, outputs).init(key, jnp.zeros((1, *input_shape)), train=False)
     )
@@ -95,14 +92,8 @@ def apply(
     Returns:
       [B, A] float32 outputs, and the `batch_stats` to carry on with (unchanged if not `train`).
     """
-    channels = variables["params"]["stem"]["kernel"].shape[2]
-    form = f"[B, H, W, {channels}]"
-    checks.array("images", images, form, (None, None, None, channels), of="floats")
     outputs = variables["params"]["head"]["bias"].shape[0]
-    out, updates = _ResNet(config, outputs).apply(
-        variables, images, train=train, mutable=["batch_stats"]
-    )
-    return out.astype(jnp.float32), updates.get("batch_stats", {})
+    return layers.run(_ResNet(config, outputs), variables, images, train)
 
 
 def spatial_softmax(x: Array) -> Array:
@@ -115,26 +106,8 @@ def spatial_softmax(x: Array) -> Array:
     return jnp.concatenate([across, down], axis=1)
 
 
-def _conv(config: ResNetConfig, features: int, size: int, stride: int, name: str) -> nn.Conv:
-    """A bias-free convolution, padded alike on both sides as the original is."""
-    return nn.Conv(
-        features,
-        (size, size),
-        (stride, stride),
-        padding=size // 2,
-        use_bias=False,
-        dtype=jnp.dtype(config.dtype),
-        conv_general_dilated=conv_general_dilated,
-        name=name,
-    )
-
-
 def _norm_relu(config: ResNetConfig, x: Array, train: bool, name: str) -> Array:
-    if config.norm == "batch":
-        x = nn.BatchNorm(
-            use_running_average=not train, momentum=0.9, dtype=jnp.dtype(config.dtype), name=name
-        )(x)
-    return nn.relu(x)
+    return nn.relu(layers.norm(config, x, train, name))
 
 
 class _Block(nn.Module):
@@ -149,10 +122,10 @@ class _Block(nn.Module):
         activated = _norm_relu(self.config, x, train, "norm_1")
         shortcut = x
         if self.stride != 1 or x.shape[-1] != self.features:
-            shortcut = _conv(self.config, self.features, 1, self.stride, "shortcut")(activated)
-        y = _conv(self.config, self.features, 3, self.stride, "conv_1")(activated)
+            shortcut = _conv(self.config, self.features, 1, "shortcut", self.stride)(activated)
+        y = _conv(self.config, self.features, 3, "conv_1", self.stride)(activated)
         y = _norm_relu(self.config, y, train, "norm_2")
-        return shortcut + _conv(self.config, self.features, 3, 1, "conv_2")(y)
+        return shortcut + _conv(self.config, self.features, 3, "conv_2")(y)
 
 
 class _ResNet(nn.Module):
@@ -164,9 +137,9 @@ class _ResNet(nn.Module):
         width = self.config.width
         x = 2 * images - 1
         if self.config.stem == "cifar":
-            x = _conv(self.config, width, 3, 1, "stem")(x)
+            x = _conv(self.config, width, 3, "stem")(x)
         else:
-            x = max_pool(_conv(self.config, width, 7, 2, "stem")(x))
+            x = max_pool(_conv(self.config, width, 7, "stem", stride=2)(x))
         for stage, stride in enumerate((1, 2, 2, 2)[: self.config.stages]):
             for block in range(2):
                 x = _Block(
@@ -178,6 +151,5 @@ class _ResNet(nn.Module):
         x = _norm_relu(self.config, x, train, "norm")
         x = spatial_softmax(x) if self.config.pool == "spatial_softmax" else x.mean((1, 2))
         for i, features in enumerate(self.config.hidden, 1):
-            x = nn.Dense(features, dtype=jnp.dtype(self.config.dtype), name=f"hidden_{i}")(x)
-            x = nn.relu(x)
-        return nn.Dense(self.outputs, dtype=jnp.dtype(self.config.dtype), name="head")(x)
+            x = nn.relu(dense(self.config, features, f"hidden_{i}")(x))
+        return dense(self.config, self.outputs, "head")(x)

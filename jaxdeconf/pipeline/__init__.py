@@ -1,1 +1,1 @@
-"""The flow of an experiment; the only place that writes to disk or prints."""
+"""One run, kept and resumed: config, stages, store, judgement, results."""

@@ -1,4 +1,4 @@
-"""One checkpoint: a folder of arrays (Orbax) and notes (JSON), whole and unaltered or refused.
+"""One checkpoint: a folder of arrays (Orbax) and notes (JSON), read back as written or not at all.
 
     STEP/arrays/      a pytree of arrays, as Orbax writes it
     STEP/notes.json   what belongs to it
@@ -12,7 +12,6 @@ import json
 import logging
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-_PARTIAL, _SUMS = ".partial", "SHA256SUMS"
+from jaxdeconf.pipeline.plain import PARTIAL
+
+_SUMS = "SHA256SUMS"
 
 
 def latest(stage: Path) -> Path | None:
@@ -37,9 +38,9 @@ def write(folder: Path, state: Any, notes: dict[str, Any]) -> None:
       state: a pytree of jax arrays.
       notes: plain values for JSON.
     Raises:
-      Exception: whatever keeps it from being written; what was there before still is.
+      OSError, ValueError: if it cannot be written; what was there before still is.
     """
-    partial = folder.with_name(folder.name + _PARTIAL)
+    partial = folder.with_name(folder.name + PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)  # a killed run's
     try:
         partial.mkdir(parents=True)
@@ -69,17 +70,14 @@ def read_notes(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "notes.json").read_text())
 
 
-def read_state(folder: Path, template: Callable[[], Any]) -> Any:
-    """The arrays of a checkpoint, on the first device, in the tree that `template` would make.
+def read_state(folder: Path, like: Any) -> Any:
+    """The arrays of a checkpoint, on the first device, in a tree of ShapeDtypeStructs.
 
     Orbax commits them to that device, and JAX compiles anew for what is committed: copied, they are
     as if they had just been computed, so a resumed run finds the programs of the one before it.
     """
     device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
-    like = jax.tree.map(
-        lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=device),
-        jax.eval_shape(template),
-    )
+    like = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=device), like)
     loaded = _orbax().load(str(folder / "arrays"), like)
     return jax.tree.map(lambda a: jnp.array(np.asarray(a)), loaded)
 

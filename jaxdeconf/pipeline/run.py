@@ -1,63 +1,161 @@
-"""One run from a config to its report."""
+"""One run from a config to its results: collect, disentangle, mask, clone, evaluate."""
 
 import time
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from jaxdeconf.pipeline import results, stages
-from jaxdeconf.pipeline.config import Config
+import numpy as np
+from jax import Array
+
+from jaxdeconf import collect, systems
+from jaxdeconf.collect import Collected
+from jaxdeconf.deconfound import clone_policy, imitated, learn_latents, mask_latents
+from jaxdeconf.demos import Demos
+from jaxdeconf.expert import plan
+from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.mask import Mask
+from jaxdeconf.methods import Evidence
+from jaxdeconf.pipeline import judge, machine
+from jaxdeconf.pipeline.checkpoint import fingerprint
+from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.pipeline.interruption import Interruption
+from jaxdeconf.pipeline.judge import Trial
+from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.progress import Reporter
-from jaxdeconf.pipeline.report import POLICIES, write_report
-from jaxdeconf.pipeline.store import Store, write_json, writing
+from jaxdeconf.pipeline.results import Judged, OutcomeForm, PValues, Results, finished, save
+from jaxdeconf.pipeline.stages import Run
+from jaxdeconf.pipeline.store import Store, writing
+from jaxdeconf.systems import System
 
 
 def run(
     config: Config,
-    directory: Path,
-    reporter: Reporter,
+    system: System | None = None,
+    directory: Path | str | None = None,
+    reporter: Reporter | None = None,
     resume: bool = False,
     interruption: Interruption | None = None,
-) -> dict[str, Any]:
-    """Does, or finishes, a run.
+) -> Results:
+    """Does, or finishes, a run; leaves results.json and pictures.npz, which a report is drawn from.
 
     Args:
       config: what is asked for.
-      directory: where everything goes.
+      system: what moves, yours say; None: the one that the config names.
+      directory: where everything goes; None: runs/SYSTEM-seedK.
       reporter: the screen.
-      resume: go on with the run that is there.
+      resume: go on with the run that is there; if it is finished, say what it found.
       interruption: asks it to stop; by default nothing does.
-    Returns:
-      What results.json holds.
     Raises:
       StoreError: if the directory, or a checkpoint in it, cannot be used.
       WriteError: if the disk does not take what is written.
       FloatingPointError: if a loss is not finite; says which stage, step and value.
       Interrupted: if asked to stop; everything is saved.
-      ValueError: if the config asks for more than there is, a batch larger than the data, say.
+      ValueError: if config and system do not fit, before anything is done.
     """
-    interruption, store = interruption or Interruption(), Store(directory, config, resume)
-    this = stages.Run(config, store, reporter, {}, interruption)
-    collected = stages.collect(this)
-    vae = stages.train_disentangler(this, collected)
-    found = stages.find_mask(this, collected, vae)
-    cloned, policies, driven = {}, {}, {}
-    for policy in POLICIES:
-        view = stages.view_of(this, policy, vae, found.mask)
-        cloned[policy] = stages.train_policy(this, policy, collected, *view)
+    system = fitting(config, systems.get(config.system) if system is None else system)
+    config = replace(config, system=system.name)
+    directory = Path(directory or Path("runs") / f"{system.name}-seed{config.seed}")
+    store = Store(directory, config, resume)
+    if resume and (found := finished(directory)):
+        return found
+    this = Run(config, system, store, reporter or Reporter(), interruption or Interruption())
+    collected = this.stage("collect", lambda: collect_for(config, system, this.key))
+    trial = judge.trial(system, this.key, collected)
+    encoder, mask = deconfounded(this, trial)
+    evidence = evidence_for(config, system, encoder, mask.mask)
+    demos = demonstrations_for(config, system, collected)
+
+    def drive(policy) -> list[float]:
+        return judge.rollout_loss(trial, judge.drive(trial, policy))
+
+    watch = partial(this.watch, data=collected, visits=visits(config, demos), visit=drive)
+    policies = {
+        name: clone_policy(name, demos, evidence, this.key, config.clone, watch)
+        for name in config.methods
+    }
     # After the last one is trained: what is resumed before then need not judge the first again.
-    for policy in POLICIES:
-        with reporter.bar(f"judge {policy}", 1) as bar:
-            policies[policy], driven[policy] = results.judge_policy(
-                this, policy, collected, vae, found, cloned[policy]
-            )
-            bar.update(1, f"rollout loss {float(policies[policy]['rollout_loss']['mean']):.3g}")
-        interruption.check()
-    begin = time.perf_counter()
-    numbers = results.results(this, collected, vae, found, policies)
-    images = results.pictures(this, collected, vae, found, driven)
-    this.seconds["report"] = time.perf_counter() - begin
+    begin, judged, driven = time.perf_counter(), {}, {}
+    for name, policy in policies.items():
+        with this.reporter.bar(f"judge {name}", 1) as bar:
+            history = this.history[f"clone {name}"]
+            curve = [[epoch, *losses] for epoch, _, *losses in history]
+            judged[name], driven[name] = judge.judge_policy(trial, policy, history[-1][1], curve)
+            bar.update(1, f"rollout loss {judged[name].rollout_loss.mean:.3g}")
+        this.interruption.check()
+    found = _results(this, trial, encoder, mask, judged)
+    pictures = judge.pictures(trial, encoder, policies, driven)
+    found.seconds["judge"] = time.perf_counter() - begin
     with writing(directory):
-        numbers = write_json(directory / "results.json", numbers)
-        write_report(directory, numbers, images)
-    return numbers
+        save(directory, found, pictures)
+    return found
+
+
+def deconfounded(this: Run, trial: Trial) -> tuple[Encoder, Mask]:
+    """The β-VAE, and what Algorithm 1 masks of it."""
+    config, system, collected = this.config, this.system, trial.collected
+    images = collect.exploration(system, collected.random).images
+    watch = partial(this.watch, data=collected)
+    encoder = learn_latents(images, trial.held_out.images, this.key, config.disentangle, watch)
+    first = collect.demonstrations(system, collected.expert, config.mask.reaction_horizon)
+    made_from = {"collect": fingerprint(collected), "disentangle": fingerprint(encoder)}
+    return encoder, this.stage("mask", lambda: mask_latents(encoder, first, config.mask), made_from)
+
+
+def collect_for(config: Config, system: System, key: Array) -> Collected:
+    """The trajectories that a config asks for."""
+    return collect.collect(system, config.collect, config.expert, config.evaluate.rollouts, key)
+
+
+def demonstrations_for(config: Config, system: System, collected: Collected) -> Demos:
+    """What is cloned of them, drawn."""
+    return collect.demonstrations(system, collected.expert, config.clone.trajectory_steps)
+
+
+def evidence_for(config: Config, system: System, encoder: Encoder, mask: Array) -> Evidence:
+    """What a method may be made from; a simulator knows all there is."""
+
+    def expert(states: Array) -> Array:
+        return plan(system, states, config.expert).actions[:, 0] / system.limits
+
+    return Evidence(encoder, mask, getattr(system.nuisance, "cover", None), expert)
+
+
+def visits(config: Config, demos: Demos) -> tuple[int, ...]:
+    """The steps of cloning after which a policy drives."""
+    samples = imitated(demos.lengths, config.clone)
+    per_epoch = config.clone.steps_per_epoch(samples)
+    return config.evaluate.steps(per_epoch, config.clone.total_steps(samples))
+
+
+def _results(
+    this: Run, trial: Trial, encoder: Encoder, mask: Mask, judged: dict[str, Judged]
+) -> Results:
+    config, system = this.config, this.system
+    latents = judge.judge_latents(trial, encoder)
+    return Results(
+        system=system.name,
+        preset=config.preset,
+        seed=config.seed,
+        state_names=list(system.state_names),
+        action_names=list(system.action_names),
+        outcome=OutcomeForm(*system.outcome[:3]),
+        reaction_horizon=config.mask.reaction_horizon,
+        statistic=config.mask.statistic,
+        threshold=float(mask.threshold),
+        mask=np.asarray(mask.mask),
+        state_observation=np.asarray(mask.state_observation),
+        state_action=np.asarray(mask.state_action),
+        p_values=PValues(np.asarray(mask.p_state_observation), np.asarray(mask.p_state_action)),
+        active=np.asarray(encoder.active),
+        kl=np.asarray(encoder.kl),
+        nuisance_correlation=np.asarray(latents.nuisance_correlation),
+        nuisance_share=np.asarray(latents.nuisance_share),
+        reconstruction=latents.reconstruction,
+        expert=judge.judge_expert(system, trial.collected),
+        policies=judged,
+        seconds=this.seconds,
+        peak_memory_mb=machine.peak_memory_mb(),
+        versions=machine.versions(),
+        config=to_plain(config),
+    )

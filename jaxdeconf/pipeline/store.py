@@ -11,22 +11,18 @@ another's.
 import contextlib
 import hashlib
 import json
-import os
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, is_dataclass
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
-from jaxdeconf import __version__
 from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.pipeline.config import Config
-
-_PARTIAL = ".partial"  # of a file that is being written
+from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE, from_plain, to_plain, write_json
+from jaxdeconf.version import __version__
 
 
 class StoreError(RuntimeError):
@@ -44,7 +40,7 @@ class Store:
         """Opens a run directory.
 
         Args:
-          directory: made if need be.
+          directory: made if it is not there.
           config: what the run is to do.
           resume: whether it goes on with what is there; the config must then be the same.
           home: what --resume goes on with, if not the directory: the sweep that it is a part of.
@@ -56,14 +52,16 @@ class Store:
         self.directory = directory
         self._home = home or directory
         self.saved_at = time.monotonic()  # when it last saved
-        self._fingerprints: dict[str, str] = {}  # of the stages loaded or saved so far
-        file, wanted = directory / "config.json", to_plain(asdict(config))
+        wanted = to_plain(config)
         self._identity = hashlib.sha256(json.dumps([__version__, wanted]).encode()).hexdigest()
         if resume:
-            changed = _differences(to_plain(asdict(read_config(directory))), wanted)
+            changed = differences(to_plain(read_config(directory)), wanted)
             if changed:
+                shown = ", ".join(
+                    f"--{name.replace('_', '-')} was {old}, is {new}" for name, old, new in changed
+                )
                 raise StoreError(
-                    f"{file}: resumed with another config: {', '.join(changed)}; "
+                    f"{directory / 'config.json'}: resumed with another config: {shown}; "
                     "leave those flags out, or start a new run with --out"
                 )
             return
@@ -82,7 +80,7 @@ class Store:
         step: int,
         state: Any,
         notes: dict[str, Any],
-        made_from: Sequence[str] = (),
+        made_from: Mapping[str, str],
     ) -> None:
         """Makes `state`, a pytree of jax arrays, the stage's latest.
 
@@ -91,26 +89,28 @@ class Store:
           step: higher than that of the stage's last save.
           state: what is saved.
           notes: values for JSON, beside it.
-          made_from: the stages, loaded or saved before, that it follows from.
+          made_from: what it follows from: names, and fingerprints as of `checkpoint`.
         Raises:
           WriteError: if the disk does not take it; what was saved before is still there.
         """
-        self._fingerprints[stage] = checkpoint.fingerprint(state)
-        notes = {
+        about = {
             "run": self._identity,
-            "fingerprint": self._fingerprints[stage],
-            "made_from": self._ancestors(made_from),
+            "fingerprint": checkpoint.fingerprint(state),
+            "made_from": dict(made_from),
             "notes": to_plain(notes),
         }
         folder = self._folder(stage) / str(step)
         try:
-            checkpoint.write(folder, state, notes)
-        except Exception as error:
+            checkpoint.write(folder, state, about)
+        except (OSError, ValueError) as error:
+            # Orbax wraps what the system said in a ValueError, and raises others for its own use.
+            if isinstance(error, ValueError) and not _SYSTEM.search(_words(error)):
+                raise
             raise _write_error(self._home, folder, error) from error
         self.saved_at = time.monotonic()
 
     def load(
-        self, stage: str, template: Callable[[], Any], made_from: Sequence[str] = ()
+        self, stage: str, template: Callable[[], Any], made_from: Mapping[str, str]
     ) -> tuple[Any, dict[str, Any]] | None:
         """The stage's latest state and notes, or None if it has none.
 
@@ -120,34 +120,28 @@ class Store:
           made_from: as it was saved with.
         Raises:
           StoreError: if what is there is damaged, is of another run, or was made from other
-            numbers than the stages that it follows from hold by now.
+            numbers than there are now.
         """
         folder = checkpoint.latest(self._folder(stage))
         if folder is None:
             return None
+        like = jax.eval_shape(template)
         try:
-            notes = checkpoint.read_notes(folder)
-            self._check(notes, made_from)
-            state = checkpoint.read_state(folder, template)
-            if checkpoint.fingerprint(state) != notes["fingerprint"]:
+            about = checkpoint.read_notes(folder)
+            if about["run"] != self._identity:
+                raise ValueError("made with another config, or another version, than config.json's")
+            for name, now in made_from.items():
+                if about["made_from"].get(name) != now:
+                    raise ValueError(f"made from another {name} than is there now")
+            state = checkpoint.read_state(folder, like)
+            if checkpoint.fingerprint(state) != about["fingerprint"]:
                 raise ValueError("its arrays are not of the types that were saved")
-        except Exception as error:
+        except UNREADABLE as error:
             raise StoreError(
-                f"{folder}: not a checkpoint of this run ({_cause(error)}); "
+                f"{folder}: not a checkpoint of this run ({cause(error)}); "
                 f"delete {folder.parent} to redo the stage"
             ) from error
-        self._fingerprints[stage] = notes["fingerprint"]
-        return state, notes["notes"]
-
-    def _check(self, notes: dict[str, Any], made_from: Sequence[str]) -> None:
-        if notes["run"] != self._identity:
-            raise ValueError("made with another config, or another version, than config.json says")
-        for stage, now in self._ancestors(made_from).items():
-            if notes["made_from"].get(stage) != now:
-                raise ValueError(f"made from another {stage} than is there now")
-
-    def _ancestors(self, stages: Sequence[str]) -> dict[str, str]:
-        return {stage: self._fingerprints[stage] for stage in stages}
+        return state, about["notes"]
 
     def _folder(self, stage: str) -> Path:
         return self.directory.absolute() / "checkpoints" / stage
@@ -157,14 +151,13 @@ class Nowhere(Store):
     """A store that keeps nothing."""
 
     def __init__(self) -> None:
-        """Of no directory."""
         self.saved_at = time.monotonic()
 
-    def save(self, *_: Any, **__: Any) -> None:
-        """Forgets it."""
+    def save(self, *_: Any, **__: Any) -> None:  # noqa: D102
+        pass
 
-    def load(self, *_: Any, **__: Any) -> None:
-        """Has none."""
+    def load(self, *_: Any, **__: Any) -> None:  # noqa: D102
+        pass
 
 
 @contextlib.contextmanager
@@ -178,7 +171,7 @@ def writing(directory: Path) -> Iterator[None]:
 
 def _write_error(directory: Path, place: Path, error: Exception) -> WriteError:
     return WriteError(
-        f"{place}: cannot be written ({_cause(error)}); "
+        f"{place}: cannot be written ({cause(error)}); "
         f"make room, then go on with --resume {directory}"
     )
 
@@ -193,7 +186,7 @@ def require_empty(directory: Path) -> None:
         raise StoreError(f"{directory}: holds a run; use --resume {directory}, or another --out")
     try:
         # A run killed in its first moment may have left a part of its config.
-        others = {entry.name for entry in directory.iterdir()} - {"config.json" + _PARTIAL}
+        others = {entry.name for entry in directory.iterdir()} - {"config.json" + PARTIAL}
     except FileNotFoundError:
         return
     except OSError as error:
@@ -214,15 +207,26 @@ def read_config(directory: Path) -> Config:
       StoreError: if there is none, or it is not one of this version's.
     """
     file = directory / "config.json"
+    plain = read_versioned(file, "run", "config")
     with reading(file, "run", "config"):
-        plain = json.loads(file.read_text())
+        return from_plain(Config, plain)
+
+
+def read_versioned(file: Path, kind: str, what: str) -> dict[str, Any]:
+    """What the file that says what a run or a sweep is holds, but for its version.
+
+    Raises:
+      StoreError: if it cannot be read, or is of another version.
+    """
+    with reading(file, kind, what):
+        plain = json.loads(file.read_text(encoding="utf-8"))
         version = plain.pop("jaxdeconf", "unknown")
-        if version != __version__:
-            raise StoreError(
-                f"{file}: a run of jaxdeconf {version}, not of this version, {__version__}; "
-                "finish it with its own, or start a new run with --out"
-            )
-        return structure(Config, plain)
+    if version != __version__:
+        raise StoreError(
+            f"{file}: a {kind} of jaxdeconf {version}, not of this version, {__version__}; "
+            f"finish it with its own, or start a new {kind} with --out"
+        )
+    return plain
 
 
 @contextlib.contextmanager
@@ -234,74 +238,40 @@ def reading(file: Path, kind: str, what: str) -> Iterator[None]:
         raise StoreError(
             f"{file}: no {kind} to resume there ({error.strerror}); start one with --out"
         ) from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except UNREADABLE as error:
         raise StoreError(
-            f"{file}: not a {what} of jaxdeconf {__version__} ({_cause(error)}); "
+            f"{file}: not a {what} of jaxdeconf {__version__} ({cause(error)}); "
             f"start a new {kind} with --out"
         ) from error
 
 
 def write_config(directory: Path, config: Config) -> None:
     """Writes the config.json that `read_config` reads."""
-    write_json(directory / "config.json", {"jaxdeconf": __version__, **asdict(config)})
+    write_json(directory / "config.json", {"jaxdeconf": __version__, **to_plain(config)})
 
 
-def structure(kind: Any, plain: dict[str, Any]) -> Any:
-    """The dataclass `kind` from its `asdict`, after a passage through JSON."""
-    defaults = kind()
-
-    def value(name: str, plain: Any) -> Any:
-        default = getattr(defaults, name, None)
-        if is_dataclass(default):
-            return structure(type(default), plain)
-        return from_plain(plain)
-
-    return kind(**{name: value(name, v) for name, v in plain.items()})
+_SYSTEM = re.compile(r": ([^:]*) \[os_error_code")  # what the system said, within Orbax's words
 
 
-def write_json(file: Path, value: Any) -> Any:
-    """Replaces a JSON file in one step: a reader, or a crash, finds the old or the new one.
-
-    Returns:
-      The value as the file gives it back: arrays are lists.
-    """
-    partial, value = file.with_name(file.name + _PARTIAL), to_plain(value)
-    partial.write_text(json.dumps(value, indent=1) + "\n")
-    os.replace(partial, file)
-    return value
+def _words(error: Exception) -> str:
+    """What an error says; Orbax wraps the one that says what is wrong."""
+    inner = error.__cause__ or error
+    return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
 
 
-def to_plain(value: Any) -> Any:
-    """Arrays, tuples and NumPy scalars as what JSON gives back."""
-    if isinstance(value, dict):
-        return {str(k): to_plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [to_plain(v) for v in value]
-    if isinstance(value, np.ndarray | np.generic | jax.Array):
-        return np.asarray(value).tolist()
-    return value
-
-
-def from_plain(value: Any) -> Any:
-    """What `to_plain` made of a config's field: its lists are tuples."""
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _cause(error: Exception) -> str:
-    """An error in one line; Orbax wraps the one that says what is wrong."""
-    cause = error.__cause__ or error
-    words = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
-    system = re.search(r": ([^:]*) \[os_error_code", words)  # within much that Orbax adds
+def cause(error: Exception) -> str:
+    """An error in one line."""
+    words = _words(error)
+    system = _SYSTEM.search(words)
     return system[1] if system else words.splitlines()[0]
 
 
-def _differences(old: Any, new: Any, path: str = "") -> list[str]:
-    """`--flag old -> new` of every leaf that differs."""
+def differences(old: Any, new: Any, path: str = "") -> list[tuple[str, Any, Any]]:
+    """(`clone.learning_rate`, old, new) of every leaf in which two nested dicts differ."""
     if isinstance(old, dict) and isinstance(new, dict):
         return [
             line
             for key in sorted(old.keys() | new.keys())
-            for line in _differences(old.get(key), new.get(key), f"{path}.{key}" if path else key)
+            for line in differences(old.get(key), new.get(key), f"{path}.{key}" if path else key)
         ]
-    flag = "--" + path.replace("_", "-")
-    return [] if old == new else [f"{flag} was {old}, is {new}"]
+    return [] if old == new else [(path, old, new)]

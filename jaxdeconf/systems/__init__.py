@@ -1,5 +1,6 @@
 """What moves: physical systems as pure functions of (state, action)."""
 
+from jaxdeconf import checks
 from jaxdeconf.systems.cartpole import CARTPOLE
 from jaxdeconf.systems.reacher import REACHER
 from jaxdeconf.systems.rollout import Trajectories, random_trajectories, rollout
@@ -21,6 +22,5 @@ def get(name: str) -> System:
     Raises:
       ValueError: if there is none; the message lists the known names.
     """
-    if name not in names():
-        raise ValueError(f"name: expected one of {', '.join(_SYSTEMS)}, got {name!r}")
+    checks.one_of("name", name, names())
     return _SYSTEMS[name]

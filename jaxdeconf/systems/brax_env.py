@@ -1,7 +1,8 @@
 """Any System as a Brax environment (Freeman et al. 2021), so that Brax's trainers run on it.
 
 An edge: nothing in the package imports it, because Brax takes seconds to import. Importing it
-registers every system that `systems.names` lists as `deconf_<name>`. Shapes: S state, A action.
+registers every system that `systems.names` lists as `deconf_<name>`. Shapes: S state, A action,
+H × W pixels.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +18,7 @@ from brax.envs import base
 from flax import struct
 from jax import Array
 
-from jaxdeconf import systems
+from jaxdeconf import checks, systems
 from jaxdeconf.systems.rollout import sample_action
 from jaxdeconf.systems.system import System
 from jaxdeconf.vision import raster
@@ -67,16 +68,14 @@ class SystemEnv(envs.Env):
         Args:
           system: what moves.
           observation: "state" [S]; "pixels", a dict of the frame with its nuisance, float32
-            [64, 64, 3] in [0, 1], under `PIXELS`; "pixels_state", that and the state under "state".
+            [H, W, 3] in [0, 1], under `PIXELS`; "pixels_state", that and the state under "state".
           terminate: whether leaving the bounds ends the episode. Costs are positive, so an agent
             may gain by falling early. False charges the cost of the fall until the time is up: a
             whole episode's reward is then minus `steps` times `evaluate.rollout_loss`.
         Raises:
           ValueError: if there is no such observation.
         """
-        if observation not in OBSERVATIONS:
-            expected = ", ".join(OBSERVATIONS)
-            raise ValueError(f"observation: expected one of {expected}, got {observation!r}")
+        checks.one_of("observation", observation, tuple(OBSERVATIONS))
         self.system = system
         self._observe = partial(OBSERVATIONS[observation], system)
         self._terminate = terminate
@@ -151,7 +150,7 @@ class SystemEnv(envs.Env):
         return self.system.steps
 
     def render(self, trajectory: Sequence[Moment]) -> list[np.ndarray]:
-        """uint8 [64, 64, 3] frames of a list of pipeline states, with the nuisance."""
+        """uint8 [H, W, 3] frames of a list of pipeline states, with the nuisance."""
         frame = jax.jit(self.system.frame)
         return [np.asarray(frame(moment.state, moment.previous_action)) for moment in trajectory]
 

@@ -18,7 +18,7 @@ from jax import Array
 
 from jaxdeconf.systems.system import System
 from jaxdeconf.vision import raster
-from jaxdeconf.vision.nuisance import WHITE, ColorSquare
+from jaxdeconf.vision.nuisance import ColorSquare
 
 
 @dataclass(frozen=True)
@@ -141,23 +141,23 @@ def in_bounds(state: Array) -> Array:
 
 
 # The camera sees 19 m, so that most of a cart at |x| = 8.5 m is in the picture. To that scale the
-# pole would be 3 pixels long: it is drawn 27 long, legible at 64 x 64, and its tip stays below the
+# pole would be 3 units long: it is drawn 27 long, legible at 64 × 64, and its tip stays below the
 # nuisance at every angle.
-_PIXELS_PER_METER = raster.SIZE / 19.0
+_UNITS_PER_METER = raster.UNITS / 19.0
 _TRACK, _PIVOT, _POLE_LENGTH = 55.0, 47.0, 27.0
 _CART_HALF_SIZE, _POLE_RADIUS = (5.0, 3.5), 1.6
 _GREY, _INK, _WOOD = (0.72, 0.72, 0.75), (0.16, 0.18, 0.24), (0.80, 0.50, 0.20)
 
 
-def draw(state: Array) -> Array:
-    """The frame [64, 64, 3] in [0, 1] of state [4], without the nuisance; differentiable."""
-    points = raster.pixel_centers()
-    x = raster.SIZE / 2 + _PIXELS_PER_METER * state[0]
+def draw(state: Array, size: tuple[int, int] = (64, 64)) -> Array:
+    """The frame [H, W, 3] in [0, 1] of state [4], without the nuisance; differentiable."""
+    points = raster.pixel_centers(size)
+    x = raster.UNITS / 2 + _UNITS_PER_METER * state[0]
     pivot = jnp.stack([x, jnp.full_like(x, _PIVOT)])
     tip = pivot + _POLE_LENGTH * jnp.stack([jnp.sin(state[2]), -jnp.cos(state[2])])
-    image = jnp.full((raster.SIZE, raster.SIZE, 3), jnp.asarray(WHITE))
-    track = raster.rectangle(points, (raster.SIZE / 2, _TRACK), (raster.SIZE, 0.5))
-    image = raster.paint(image, track, _GREY)
+    image_width = raster.UNITS * size[1] / min(size)
+    track = raster.rectangle(points, (raster.UNITS / 2, _TRACK), (image_width, 0.5))
+    image = raster.paint(jnp.ones((*size, 3)), track, _GREY)
     cart = raster.rectangle(points, jnp.stack([x, pivot[1] + 3.5]), _CART_HALF_SIZE)
     image = raster.paint(image, cart, _INK)
     return raster.paint(image, raster.capsule(points, pivot, tip, _POLE_RADIUS), _WOOD)

@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxdeconf.systems.system import Outcome, System
 from jaxdeconf.vision import raster
-from jaxdeconf.vision.nuisance import WHITE, JoystickDot
+from jaxdeconf.vision.nuisance import JoystickDot
 
 
 @dataclass(frozen=True)
@@ -194,24 +194,24 @@ def in_bounds(state: Array) -> Array:
 
 
 # Seen from above, y up. Stretched out, the arm stays clear of the nuisance's corner.
-_PIXELS_PER_METER, _SHOULDER = 20.5, raster.SIZE / 2
+_UNITS_PER_METER, _SHOULDER = 20.5, raster.UNITS / 2
 _SHOULDER_RADIUS, _LINK_RADIUS, _TARGET_RADIUS = 3.5, 2.5, 3.2
 _GREY, _BLUE, _WOOD, _BLACK = (0.72, 0.72, 0.75), (0.25, 0.42, 0.68), (0.80, 0.50, 0.20), (0, 0, 0)
 
 
-def draw(state: Array) -> Array:
-    """The frame [64, 64, 3] in [0, 1] of state [6], without the nuisance; differentiable."""
+def draw(state: Array, size: tuple[int, int] = (64, 64)) -> Array:
+    """The frame [H, W, 3] in [0, 1] of state [6], without the nuisance; differentiable."""
 
-    def pixel(position: Array) -> Array:
-        return _SHOULDER + _PIXELS_PER_METER * position * jnp.asarray([1.0, -1.0])
+    def units(position: Array) -> Array:
+        return _SHOULDER + _UNITS_PER_METER * position * jnp.asarray([1.0, -1.0])
 
-    points = raster.pixel_centers()
-    shoulder = pixel(jnp.zeros(2))
-    elbow, end = map(pixel, elbow_and_end(state))
-    image = jnp.full((raster.SIZE, raster.SIZE, 3), jnp.asarray(WHITE))
+    points = raster.pixel_centers(size)
+    shoulder = units(jnp.zeros(2))
+    elbow, end = map(units, elbow_and_end(state))
+    image = jnp.ones((*size, 3))
     shapes = (
         # The target lies below the arm, and is wider: it shows where the arm has reached it.
-        (raster.disc(points, pixel(state[_TARGET]), _TARGET_RADIUS), _BLACK),
+        (raster.disc(points, units(state[_TARGET]), _TARGET_RADIUS), _BLACK),
         (raster.disc(points, shoulder, _SHOULDER_RADIUS), _GREY),
         (raster.capsule(points, shoulder, elbow, _LINK_RADIUS), _BLUE),
         (raster.capsule(points, elbow, end, _LINK_RADIUS), _WOOD),
@@ -219,6 +219,10 @@ def draw(state: Array) -> Array:
     for shape, color in shapes:
         image = raster.paint(image, shape, color)
     return image
+
+
+def _final_distance(states: Array, valid: Array) -> Array:
+    return distance(states[-1])
 
 
 REACHER = System(
@@ -248,6 +252,6 @@ REACHER = System(
         "final distance (m)",
         ".3f",
         "Final distance: from the arm's end to the target at the last step, mean over rollouts.",
-        lambda states, _: distance(states[-1]),
+        _final_distance,
     ),
 )

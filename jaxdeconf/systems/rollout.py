@@ -1,6 +1,6 @@
 """Scan a policy through a System.
 
-Shapes: N trajectories, T time, S state, A action. The paper's t=1 is index 0.
+Shapes: N trajectories, T time, S state, A action, H × W pixels. The paper's t=1 is index 0.
 """
 
 from collections.abc import Callable
@@ -47,7 +47,12 @@ def rollout(system: System, policy: Policy, memory: Any, state: Array, key: Arra
       key: draws the random previous action of the first step and the policy's own randomness.
     Returns:
       Trajectories without the leading axis N.
+    Raises:
+      ValueError: if `state` is not [S] floats, or `key` is no key.
     """
+    size = len(system.state_names)
+    checks.array("state", state, f"[{size}]", (size,), of="floats")
+    checks.key("key", key)
     return rollout_with_memory(system, policy, memory, state, key)[0]
 
 
@@ -55,10 +60,6 @@ def rollout_with_memory(
     system: System, policy: Policy, memory: Any, state: Array, key: Array
 ) -> tuple[Trajectories, Any]:
     """`rollout`, and the policy's memory at the end (what it has counted, say)."""
-    checks.instance("system", system, System)
-    size = len(system.state_names)
-    checks.array("state", state, f"[{size}]", (size,), of="floats")
-    checks.key("key", key)
     first_key, policy_key = jax.random.split(key)
 
     def advance(carry: tuple, step_key: Array) -> tuple[tuple, Trajectories]:
@@ -78,7 +79,11 @@ def rollout_with_memory(
 
 @partial(jax.jit, static_argnums=(0, 2))
 def random_trajectories(system: System, key: Array, count: int) -> Trajectories:
-    """N = count trajectories of uniform random actions from random initial states."""
+    """N = count trajectories of uniform random actions from random initial states.
+
+    Raises:
+      ValueError: if `system` is no System, `key` no key or `count` no positive integer.
+    """
     checks.instance("system", system, System)
     checks.integer("count", count)
     checks.key("key", key)
@@ -88,23 +93,15 @@ def random_trajectories(system: System, key: Array, count: int) -> Trajectories:
 
     def one(key: Array) -> Trajectories:
         state_key, rollout_key = jax.random.split(key)
-        return rollout(system, policy, None, system.sample_initial(state_key), rollout_key)
+        start = system.sample_initial(state_key)
+        return rollout_with_memory(system, policy, None, start, rollout_key)[0]
 
     return jax.vmap(one)(jax.random.split(key, count))
 
 
 @partial(jax.jit, static_argnames="system")
 def frames(system: System, trajectories: Trajectories) -> Array:
-    """uint8 [..., 64, 64, 3]: the frame of every state in trajectories of any leading shape."""
-    checks.instance("system", system, System)
-    checks.instance("trajectories", trajectories, Trajectories)
-    form, lead = "[..., {}]", trajectories.states.shape[:-1]
-    for name, size in (
-        ("states", len(system.state_names)),
-        ("previous_actions", len(system.action_limit)),
-    ):
-        value = getattr(trajectories, name)
-        checks.array(name, value, form.format(size), (*lead, size), of="floats")
+    """uint8 [..., H, W, 3]: the frame of every state in trajectories of any leading shape."""
     draw = system.frame
     for _ in range(trajectories.states.ndim - 1):
         draw = jax.vmap(draw)

@@ -1,6 +1,6 @@
 """What every stage knows of a physical system, and nothing more.
 
-Shapes: S state, A action, K plan. All functions take one sample; the caller vmaps.
+Shapes: S state, A action, K plan, H × W pixels. All functions take one sample; the caller vmaps.
 """
 
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol
 import jax.numpy as jnp
 from jax import Array
 
+from jaxdeconf import checks
 from jaxdeconf.vision import raster
 
 
@@ -34,12 +35,13 @@ class Outcome(NamedTuple):
     of: Callable[[Array, Array], Array]  # (states [T, S], valid [T]) -> [] float
 
 
+def _survives(states: Array, valid: Array) -> Array:
+    return valid[-1].astype(float)
+
+
 # Of a system that can fall.
 SURVIVAL = Outcome(
-    "survival",
-    ".0%",
-    "Survival: share of rollouts in bounds to the end.",
-    lambda _, valid: valid[-1].astype(float),
+    "survival", ".0%", "Survival: share of rollouts in bounds to the end.", _survives
 )
 
 
@@ -47,7 +49,11 @@ SURVIVAL = Outcome(
 class System:
     """A controlled system in discrete time: pure functions and the constants that describe them.
 
-    Frozen and hashable, so that a System is a static argument of a jitted function.
+    Frozen and hashable, so that a System is a static argument of a jitted function. For frames of
+    another size: `dataclasses.replace(system, size=(96, 128))`.
+
+    Raises:
+      ValueError: if `size` is not two positive integers.
     """
 
     name: str
@@ -63,19 +69,29 @@ class System:
     initial_plans: Callable[[Array, int], Array]  # (state [S], K) -> [starts, K, A], expert starts
     sample_initial: Callable[[Array], Array]  # key -> state [S]: the intervention on S_1
     in_bounds: Callable[[Array], Array]  # state [S] -> bool [], False ends a trajectory
-    draw: Callable[[Array], Array]  # state [S] -> image [64, 64, 3] in [0, 1], no nuisance
+    # (state [S], (H, W)) -> image [H, W, 3] in [0, 1], no nuisance
+    draw: Callable[[Array, tuple[int, int]], Array]
     nuisance: Nuisance
     outcome: Outcome = SURVIVAL
+    size: tuple[int, int] = (64, 64)  # H, W of its frames; the paper's
+
+    def __post_init__(self):
+        checks.size("size", self.size)
 
     @property
     def limits(self) -> Array:
         """[A] action limits as an array."""
         return jnp.asarray(self.action_limit)
 
+    @property
+    def frame_shape(self) -> tuple[int, int, int]:
+        """(H, W, 3)."""
+        return (*self.size, 3)
+
     def render(self, state: Array, previous_action: Array) -> Array:
-        """The frame [64, 64, 3] in [0, 1] of state [S] with the nuisance for an action [A]."""
-        return self.nuisance.draw(self.draw(state), previous_action / self.limits)
+        """The frame [H, W, 3] in [0, 1] of state [S] with the nuisance for an action [A]."""
+        return self.nuisance.draw(self.draw(state, self.size), previous_action / self.limits)
 
     def frame(self, state: Array, previous_action: Array) -> Array:
-        """The frame as a camera hands it over: uint8 [64, 64, 3]."""
+        """The frame as a camera hands it over: uint8 [H, W, 3]."""
         return raster.quantize(self.render(state, previous_action))

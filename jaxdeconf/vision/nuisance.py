@@ -2,7 +2,8 @@
 
 It says nothing about the state that the frame does not, yet predicts the expert's next action well:
 what a cloned policy learns to copy. A nuisance has two methods, `draw` and `cover`; the second is
-the human's remedy that BcManual stands for.
+the human's remedy that BcManual stands for. Lengths are in the units of `raster`, pixels of the
+paper's frames; images may have any size.
 """
 
 from dataclasses import dataclass
@@ -13,31 +14,32 @@ from jax import Array
 from jaxdeconf import checks
 from jaxdeconf.vision import raster
 
-WHITE = (1.0, 1.0, 1.0)
-
 
 @dataclass(frozen=True)
 class Corner:
     """The square patch of the frame in which a mark is, and which a human would cover."""
 
-    size: float = 15.0  # pixels; the paper's
-    corner: tuple[float, float] = (0.0, 0.0)  # top left, pixels; the paper's
+    size: float = 15.0  # units; the paper's
+    corner: tuple[float, float] = (0.0, 0.0)  # top left, units; the paper's
 
     def __post_init__(self):
         checks.positive("size", self.size)
         checks.array("corner", self.corner, "[2]", (2,), finite=True)
 
     def paint(self, image: Array, corner: raster.Vector, color: raster.Vector) -> Array:
-        """Lays the square over image [H, W, 3]; corner [2] in pixels, color [3] in [0, 1]."""
-        half = jnp.full(2, self.size / 2)
-        distance = raster.rectangle(
-            raster.pixel_centers(image.shape[0]), jnp.asarray(corner) + half, half
-        )
-        return raster.paint(image, distance, color)
+        """Lays the square over image [H, W, 3]; corner [2] in units, color [3] in [0, 1]."""
+        return raster.paint(image, self._distance(image, corner), color)
 
     def cover(self, image: Array) -> Array:
-        """The frame [H, W, 3] with a white square where the nuisance was (BcManual)."""
-        return self.paint(image, self.corner, WHITE)
+        """The frame [H, W, 3], white in every pixel that the square touches (BcManual)."""
+        # Painting it white would leave some of the mark in pixels that the square covers in part.
+        touched = raster.coverage(self._distance(image, self.corner)) > 0
+        return jnp.where(touched[..., None], 1.0, image)
+
+    def _distance(self, image: Array, corner: raster.Vector) -> Array:
+        half = jnp.full(2, self.size / 2)
+        points = raster.pixel_centers((image.shape[0], image.shape[1]))
+        return raster.rectangle(points, jnp.asarray(corner) + half, half)
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,6 @@ class ColorSquare(Corner):
         Returns:
           [H, W, 3] in [0, 1].
         """
-        signal = checks.array("signal", signal, "[A]", (None,))
         low, high = jnp.asarray(self.low), jnp.asarray(self.high)
         return self.paint(image, self.corner, low + (signal[0] + 1.0) / 2.0 * (high - low))
 
@@ -71,8 +72,8 @@ class JoystickDot(Corner):
     """A dot that the first action moves to the right and the second one upwards (Reacher)."""
 
     color: tuple[float, float, float] = (1.0, 0.0, 0.0)  # red; the paper's
-    radius: float = 3.0  # pixels; ours
-    reach: float = 4.0  # pixels from the square's middle at the limit; ours: the dot stays inside
+    radius: float = 3.0  # units; ours
+    reach: float = 4.0  # units from the square's middle at the limit; ours: the dot stays inside
 
     def __post_init__(self):
         super().__post_init__()
@@ -89,10 +90,7 @@ class JoystickDot(Corner):
         Returns:
           [H, W, 3] in [0, 1].
         """
-        signal = checks.array("signal", signal, "[A]", (None,))
-        if len(signal) < 2:
-            raise ValueError(f"signal: expected two actions or more, got {len(signal)}")
         middle = jnp.asarray(self.corner) + self.size / 2
         center = middle + self.reach * signal[:2] * jnp.asarray([1.0, -1.0])
-        distance = raster.disc(raster.pixel_centers(image.shape[0]), center, self.radius)
-        return raster.paint(image, distance, self.color)
+        points = raster.pixel_centers((image.shape[0], image.shape[1]))
+        return raster.paint(image, raster.disc(points, center, self.radius), self.color)

@@ -38,8 +38,8 @@ def plans():
 
 @pytest.fixture(scope="module")
 def many():
-    """Closed loop from the golden states and 1000 of the box; how many plans did not converge."""
-    states = jax.vmap(SYSTEM.sample_initial)(jax.random.split(jax.random.key(0), 1000))
+    """Closed loop from the golden states and 300 of the box; how many plans did not converge."""
+    states = jax.vmap(SYSTEM.sample_initial)(jax.random.split(jax.random.key(0), 300))
     states = jnp.concatenate([STATES, states])
     return expert_trajectories(SYSTEM, states, jax.random.key(1))
 
@@ -69,11 +69,12 @@ def test_open_loop_matches_ipopt(plans):
     assert jnp.abs(plans.actions).max() <= 25
 
 
-def test_another_horizon_matches_ipopt():
-    optima = GOLDEN["cartpole_soft_N20"]
-    plans = plan(SYSTEM, [case["x0"] for case in optima], horizon=20)
-    assert plans.actions.shape == (10, 20, 1)
-    np.testing.assert_allclose(plans.cost, [case["cost"] for case in optima], rtol=1e-5)
+def test_another_horizon_matches_ipopt_one_by_one():
+    optima, config = GOLDEN["cartpole_soft_N20"], ExpertConfig(horizon=20)
+    plans = [plan(SYSTEM, [case["x0"]], config) for case in optima]
+    assert plans[0].actions.shape == (1, 20, 1)
+    costs = [float(each.cost[0]) for each in plans]
+    np.testing.assert_allclose(costs, [case["cost"] for case in optima], rtol=1e-5)
 
 
 def test_cost_is_that_of_the_actions(plans):
@@ -89,7 +90,7 @@ def test_closed_loop_matches_ipopt(many):
     assert (unconverged == 0).all()
 
 
-def test_no_pole_falls_on_a_thousand_states(many):
+def test_no_pole_falls(many):
     trajectories, unconverged = many
     assert trajectories.valid.all()
     assert jnp.abs(trajectories.states[:, :, 2]).max() < np.pi / 2
@@ -98,37 +99,29 @@ def test_no_pole_falls_on_a_thousand_states(many):
     assert (unconverged > 0).mean() < 0.02
 
 
-@pytest.mark.parametrize("iterations", [1, 4, 8, 16])
+@pytest.mark.parametrize("iterations", [4, 12])
 def test_converged_means_converged(iterations):
     """Short of iterations some plans are unconverged, and those that claim to be are optimal."""
-    got = plan(SYSTEM, STATES, config=ExpertConfig(initial_iterations=iterations))
+    got = plan(SYSTEM, STATES, ExpertConfig(initial_iterations=iterations))
     assert not got.converged.all()
     excess = np.asarray(got.cost) / COSTS - 1
     assert (excess[np.asarray(got.converged)] < 1e-4).all()
 
 
-def test_vmap_matches_loop(plans):
-    for n in (0, 9):
-        single = plan(SYSTEM, STATES[n : n + 1])
-        np.testing.assert_allclose(single.cost[0], plans.cost[n], rtol=1e-5)
-        # The optimum is flat: in float32 some actions are loose by hundredths of a newton.
-        np.testing.assert_allclose(single.actions[0], plans.actions[n], atol=0.1)
-
-
-def test_expert_trajectories_are_rollouts_of_the_policy(many):
+def test_expert_trajectories_are_rollouts_of_the_policy_one_by_one(many):
     trajectories, _ = many
-    config = ExpertConfig()
-    initial_memory, policy = receding_horizon(SYSTEM, config)
+    initial_memory, policy = receding_horizon(SYSTEM, ExpertConfig())
 
+    @jax.jit
     def one(state, key):
         return rollout(SYSTEM, policy, initial_memory(state), state, key)
 
-    keys = jax.random.split(jax.random.key(1), 1010)[:2]
-    again = jax.jit(jax.vmap(one))(trajectories.states[:2, 0], keys)
-    np.testing.assert_allclose(again.states, trajectories.states[:2], atol=1e-3)
-    np.testing.assert_array_equal(
-        again.previous_actions[:, 0], trajectories.previous_actions[:2, 0]
-    )
+    keys = jax.random.split(jax.random.key(1), len(trajectories.states))
+    for n in range(2):
+        alone = one(trajectories.states[n, 0], keys[n])
+        np.testing.assert_allclose(alone.states, trajectories.states[n], atol=1e-3)
+        first = trajectories.previous_actions[n, 0]
+        np.testing.assert_array_equal(alone.previous_actions[0], first)
 
 
 def test_compiles_once(plans, many):
@@ -188,7 +181,7 @@ def condensed_optimum(a, b, state, horizon):
 def test_two_controls_match_a_condensed_qp():
     system, a, b = two_controls()
     states = np.random.default_rng(0).normal(size=(5, 4)) * [2, 2, 1, 1]
-    plans = plan(system, states, 15)
+    plans = plan(system, states, ExpertConfig(horizon=15))
     assert plans.converged.all()
     for n, state in enumerate(states):
         actions, cost = condensed_optimum(a, b, state, 15)
@@ -196,6 +189,11 @@ def test_two_controls_match_a_condensed_qp():
         np.testing.assert_allclose(plans.actions[n], actions, atol=1e-2)
     held = np.abs(np.asarray(plans.actions)) == [1.0, 2.0]
     assert {0, 1, 2} <= set(held.sum(axis=-1).ravel())  # none, one and both at their limits
+
+
+def test_a_horizon_is_no_config():
+    with pytest.raises(ValueError, match=r"^config: expected a ExpertConfig, got 20$"):
+        plan(SYSTEM, STATES, 20)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
@@ -222,8 +220,6 @@ def test_wrong_states_are_refused(states, message):
 
 @pytest.mark.parametrize("horizon", [0, -3, 2.5, "30", None])
 def test_wrong_horizon_is_refused(horizon):
-    with pytest.raises(ValueError, match=r"^horizon: expected a positive integer, got "):
-        plan(SYSTEM, STATES, horizon)
     with pytest.raises(ValueError, match=r"^horizon: expected a positive integer, got "):
         ExpertConfig(horizon=horizon)
 

@@ -1,5 +1,7 @@
 """The β-VAE's losses against NumPy, and its linear start on real frames."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,13 +10,15 @@ import pytest
 from jaxdeconf import systems
 from jaxdeconf.leakage import spearman
 from jaxdeconf.learn import disentangle
-from jaxdeconf.learn.disentangle import M_N, DisentangleConfig
+from jaxdeconf.learn.disentangle import ACTIVE_KL, M_N, DisentangleConfig, Encoder
+from jaxdeconf.learn.fit import finish, start
 from jaxdeconf.nets import vae
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.systems.rollout import frames
 
-SYSTEM = systems.get("cartpole")
-SMALL = VAEConfig(channels=(4, 4, 4, 4, 4), latents=4, linear_path=True)
+SIZE = (32, 32)
+SYSTEM = replace(systems.get("cartpole"), size=SIZE)
+SMALL = VAEConfig(channels=(4,), latents=4, linear_path=True)
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +26,13 @@ def random_frames():
     trajectories = systems.random_trajectories(SYSTEM, jax.random.key(0), 120)
     valid = jax.tree.map(lambda a: a[trajectories.valid], trajectories)
     return jax.jit(lambda t: frames(SYSTEM, t))(valid), valid.previous_actions
+
+
+@pytest.fixture(scope="module")
+def begun(random_frames):
+    """Variables of a linear start."""
+    config = DisentangleConfig(network=SMALL)
+    return disentangle.initial_state(config, random_frames[0], jax.random.key(3)).variables
 
 
 def test_kl_divergence_is_that_of_two_normals():
@@ -38,20 +49,20 @@ def test_kl_divergence_is_that_of_two_normals():
 
 
 @pytest.mark.parametrize("objective", ["H", "B"])
-def test_losses_are_those_of_the_cited_code(random_frames, objective):
+def test_losses_are_those_of_the_cited_code(random_frames, begun, objective):
     images = random_frames[0][:8]
     config = DisentangleConfig(
         objective=objective, beta=7.0, capacity=25.0, capacity_steps=100, network=SMALL
     )
-    variables = disentangle.initial_state(config, random_frames[0], jax.random.key(1)).variables
-    key, step = jax.random.key(2), jnp.int32(40)
+    key, step, variables = jax.random.key(2), jnp.int32(40), begun
     loss, (_, metrics) = disentangle.objective(config)(variables, images, jnp.arange(8), key, step)
     x = np.asarray(images, np.float64) / 255
     mean, log_variance, stats = vae.encode(
         SMALL, variables, jnp.asarray(x, jnp.float32), train=True
     )
     z = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape)
-    decoded, _ = vae.decode(SMALL, {**variables, "batch_stats": stats}, z, train=True)
+    again = {**variables, "batch_stats": stats}
+    decoded, _ = vae.decode(SMALL, again, z, SIZE, train=True)
     error = np.mean(((2 * np.asarray(decoded) - 1) - (2 * x - 1)) ** 2)
     divergence = np.asarray(disentangle.kl_divergence(mean, log_variance)).sum(1).mean()
     penalty = divergence if objective == "H" else abs(divergence - 25.0 * 0.4)
@@ -59,52 +70,86 @@ def test_losses_are_those_of_the_cited_code(random_frames, objective):
     assert metrics["kl"] == pytest.approx(divergence, rel=1e-4)
 
 
-def test_the_linear_start_finds_the_nuisance_without_being_told(random_frames):
+def test_the_linear_start_finds_the_nuisance_without_being_told(random_frames, begun):
     images, actions = random_frames
-    config = DisentangleConfig(network=SMALL)
-    state = disentangle.initial_state(config, images, jax.random.key(3))
-    mean, _ = disentangle.encode(SMALL, state.variables, images)
+    mean, _ = disentangle.encode(SMALL, begun, images)
     correlation = np.sort(np.abs(spearman(mean, actions)[:, 0]))
     assert correlation[-1] > 0.98
     assert (correlation[:-1] < 0.15).all()
 
 
-def test_encoding_in_batches_is_encoding_at_once(random_frames):
+def test_encoding_in_batches_is_encoding_at_once(random_frames, begun):
     images = random_frames[0][:300]
-    variables = disentangle.initial_state(
-        DisentangleConfig(network=SMALL), images, jax.random.key(4)
-    ).variables
-    mean, log_variance = disentangle.encode(SMALL, variables, images)
-    whole = vae.encode(SMALL, variables, images.astype(jnp.float32) / 255, train=False)
+    mean, log_variance = disentangle.encode(SMALL, begun, images)
+    whole = vae.encode(SMALL, begun, images.astype(jnp.float32) / 255, train=False)
     np.testing.assert_allclose(mean, whole[0], atol=1e-4)
     np.testing.assert_allclose(log_variance, whole[1], atol=1e-4)
 
 
-def test_training_lowers_the_loss_and_compiles_once(random_frames):
-    images, _ = random_frames
-    config = DisentangleConfig(
-        epochs=3, learning_rate=1e-3, objective="H", beta=5.0, chunk=8, network=SMALL
+def test_training_lowers_the_loss_and_finds_the_active_latents(random_frames):
+    images, held_out = random_frames[0][300:], random_frames[0][:300]
+    config = DisentangleConfig(steps=60, objective="H", beta=5.0, chunk=8, network=SMALL)
+    training = disentangle.training(
+        config, lambda: images, len(images), lambda: held_out, jax.random.key(5)
     )
-    state = disentangle.initial_state(config, images, jax.random.key(5))
-    chunks = disentangle.disentangle(config, state, images, jax.random.key(6))
-    losses = [float(metrics["loss"]) for _, metrics in chunks]
+    chunks = list(training.chunks("disentangle"))
+    losses = [metrics["loss"] for _, metrics in chunks]
     assert losses[-1] < 0.8 * losses[0]
+    state, _ = chunks[-1]
+    encoder = training.trained(state)
+    mean, log_variance, _ = vae.encode(SMALL, state.variables, held_out / 255.0, train=False)
+    mean, log_variance = np.asarray(mean), np.asarray(log_variance)
+    kl = (0.5 * (mean**2 + np.exp(log_variance) - log_variance - 1)).mean(axis=0)
+    assert encoder.network == SMALL
+    np.testing.assert_allclose(encoder.kl, kl, rtol=1e-3)
+    np.testing.assert_array_equal(encoder.active, kl > ACTIVE_KL)
 
 
-@pytest.mark.parametrize(("field", "value"), [("objective", "C"), ("beta", -1.0)])
-def test_a_bad_config_names_the_field_and_the_value(field, value):
-    with pytest.raises(ValueError, match=rf"{field}: expected .*{value}"):
-        DisentangleConfig(**{field: value})
+def test_latents_that_carry_nothing_are_not_active():
+    """A latent whose posterior is always N(m, 1) has a KL divergence of m² / 2."""
+    images, network = jnp.zeros((20, 8, 12, 3), jnp.uint8), VAEConfig((2,), 3, norm="none")
+    config, key = DisentangleConfig(network=network), jax.random.key(0)
+    training = disentangle.training(config, lambda: images, 20, lambda: images[:10], key)
+    variables = jax.tree.map(jnp.zeros_like, training.start(images).variables)
+    variables["params"]["encoder"]["mean"]["bias"] = jnp.array([0.0, 0.4, -0.5])
+    encoder = training.trained(start(variables))
+    np.testing.assert_allclose(encoder.kl, [0.0, 0.08, 0.125], atol=1e-6)
+    assert encoder.active.tolist() == [False, False, True]
+
+
+def test_the_size_is_that_of_the_images():
+    size = (8, 12)
+    network = VAEConfig(channels=(2, 2), latents=3, norm="none")
+    config = DisentangleConfig(network=network)
+    images = (jax.random.uniform(jax.random.key(0), (30, *size, 3)) * 255).astype(jnp.uint8)
+    disentangle.check_size(config, size)
+    variables = disentangle.initial_state(config, images, jax.random.key(1)).variables
+    mean, log_variance = disentangle.encode(network, variables, images)
+    assert mean.shape == log_variance.shape == (30, 3)
+    encoder = Encoder(network, variables, mean[0], mean[0] > 0)
+    disentangle.check_images(encoder, size)
+    words = r"images: expected the size that the encoder learnt, got 12 × 12"
+    with pytest.raises(ValueError, match=words):
+        disentangle.check_images(encoder, (12, 12))
+
+
+def test_sizes_and_patches_that_do_not_fit_are_refused():
+    config = DisentangleConfig(network=SMALL)
+    with pytest.raises(ValueError, match=r"size: expected multiples of 2 .*, got 15 × 22"):
+        disentangle.check_size(config, (15, 22))
+    network = VAEConfig(decoder="coordinates")
+    config = DisentangleConfig(network=network, patches=97)
+    disentangle.check_size(config, (18, 24))
+    with pytest.raises(ValueError, match="patches: expected an integer <= 96, got 97"):
+        disentangle.check_size(config, (16, 24))
 
 
 def test_some_patches_train_the_coordinate_decoder():
-    network = VAEConfig(channels=(4, 4), latents=2, image_size=16, decoder="coordinates", width=8)
+    network = VAEConfig(channels=(4,), latents=2, decoder="coordinates", width=8, norm="none")
     config = DisentangleConfig(epochs=2, batch_size=8, patches=16, network=network, objective="H")
-    images = (jax.random.uniform(jax.random.key(0), (32, 16, 16, 3)) * 255).astype(jnp.uint8)
-    state = disentangle.initial_state(config, images, jax.random.key(1))
-    before = jax.tree.map(np.asarray, state.variables["params"])
-    chunks = list(disentangle.disentangle(config, state, images, jax.random.key(2)))
-    assert np.isfinite([float(metrics["reconstruction"]) for _, metrics in chunks]).all()
-    after = chunks[-1][0].variables["params"]
+    images = (jax.random.uniform(jax.random.key(0), (32, 12, 16, 3)) * 255).astype(jnp.uint8)
+    training = disentangle.training(config, lambda: images, 32, lambda: images, jax.random.key(1))
+    before = jax.tree.map(np.asarray, training.start(images).variables["params"])
+    after = finish("disentangle", training).variables["params"]
     moved = jax.tree.map(lambda a, b: bool((a != b).any()), before, after)
     assert all(jax.tree.leaves(moved))

@@ -1,12 +1,13 @@
 """The training loop against Adam in NumPy, and its promise that chunks do not matter."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf.learn import fit as fitting
-from jaxdeconf.learn.fit import FitConfig, fit, start
+from jaxdeconf.learn.fit import FitConfig, Training, finish, fit, start
 
 SAMPLES, SIZE = 40, 3
 
@@ -95,10 +96,103 @@ def test_an_epoch_shows_every_sample_once():
     assert first != second
 
 
-def test_it_compiles_once(data):
-    before = fitting._chunk._cache_size()
-    last(FitConfig(epochs=2.6, batch_size=8, chunk=2, learning_rate=0.011), data, stops=(3, 9))
-    assert fitting._chunk._cache_size() == before + 1
+def test_one_program_serves_all_chunks_and_all_traced_numbers(data):
+    traces = []
+
+    def counted(config):
+        loss = least_squares(config)
+
+        def count(*arguments):
+            traces.append(config)
+            return loss(*arguments)
+
+        return count
+
+    def weights(rate, decay=0.9, weight_decay=0.0, **structure):
+        numbers = {"learning_rate": rate, "decay": decay, "weight_decay": weight_decay}
+        config = FitConfig(**{"epochs": 2.6, "batch_size": 8, "chunk": 2, **numbers, **structure})
+        *_, (state, _) = fit(counted, begin(), data, SAMPLES, jax.random.key(1), config, (3, 9))
+        return state.variables["params"]["w"]
+
+    first, after_one = weights(0.011), len(traces)
+    assert after_one > 0
+    for numbers in ((0.022,), (0.011, 0.5), (0.011, 0.9, 0.1)):
+        assert (weights(*numbers) != first).all()
+    assert len(traces) == after_one
+    weights(0.011, batch_size=10)
+    assert len(traces) > after_one
+
+
+def rates(samples, **config):
+    """The learning rate of every step: under a constant gradient, Adam moves by it."""
+
+    def slope(_):
+        return lambda variables, *_: (variables["params"]["w"].sum(), (0, {}))
+
+    config, key = FitConfig(batch_size=8, chunk=1, **config), jax.random.key(0)
+    begin = start({"params": {"w": jnp.zeros(1)}, "batch_stats": 0})
+    chunks = fit(slope, begin, None, samples, key, config)
+    moved = [float(state.variables["params"]["w"][0]) for state, _ in chunks]
+    return -np.diff([0.0, *moved])
+
+
+@pytest.mark.parametrize("samples", [8, 40, 4000])
+def test_a_budget_in_steps_is_one_whatever_the_number_of_samples(samples):
+    found = rates(samples, steps=12, epochs=3.0, learning_rate=0.1, decay=0.05)
+    np.testing.assert_allclose(found, 0.1 * 0.05 ** (np.arange(12) / 12), rtol=1e-4)
+    assert FitConfig(steps=12, batch_size=8).total_steps(samples) == 12
+
+
+def test_without_one_the_learning_rate_decays_by_the_epoch():
+    found = rates(40, epochs=2.4, learning_rate=0.1, decay=0.5)  # five steps an epoch
+    np.testing.assert_allclose(found, 0.1 * 0.5 ** (np.arange(12) / 5), rtol=1e-4)
+    assert FitConfig(epochs=2.4, batch_size=8).total_steps(47) == 12
+    assert FitConfig(epochs=1e-9, batch_size=8).total_steps(47) == 1
+
+
+def training(data, made, **config):
+    def make(name, value):
+        made.append(name)
+        return value
+
+    return Training(
+        least_squares,
+        FitConfig(batch_size=8, **config),
+        SAMPLES,
+        jax.random.key(1),
+        lambda: make("data", data),
+        lambda given: make("start", begin()) if given is data else None,
+        lambda state: state.variables["params"]["w"],
+    )
+
+
+def test_a_training_makes_nothing_before_it_begins_and_no_start_when_it_resumes(data):
+    made = []
+    asked = training(data, made, epochs=2, chunk=3)
+    chunks = asked.chunks("it")
+    assert made == []
+    state, metrics = next(chunks)
+    assert made == ["data", "start"]
+    assert {name: type(value) for name, value in metrics.items()} == {"loss": float, "noise": float}
+    *_, (resumed, _) = asked.chunks("it", jax.tree.map(jnp.copy, state))
+    assert made == ["data", "start", "data"]
+    whole, _ = last(FitConfig(batch_size=8, epochs=2, chunk=3), data)
+    for found in (resumed, finish("it", asked)):
+        assert jax.tree.all(jax.tree.map(lambda a, b: (a == b).all(), whole, found))
+    np.testing.assert_array_equal(asked.trained(resumed), whole.variables["params"]["w"])
+
+
+def test_a_training_stops_where_it_is_asked_to(data):
+    chunks = training(data, [], epochs=2, chunk=4).chunks("it", stops=(1, 6, 7))
+    assert [int(state.step) for state, _ in chunks] == [1, 5, 6, 7, 10]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_loss_that_is_not_finite_is_told_with_its_name_and_step(data, value):
+    x, y = data
+    chunks = training((x, y + value), [], chunk=2).chunks("clone Masked")
+    with pytest.raises(FloatingPointError, match=r"^clone Masked, step 2: loss is (nan|inf)$"):
+        next(chunks)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import threading
 import time
 from pathlib import Path
 
-from experiments.cartpole import PRESETS
-from jaxdeconf.pipeline import cli, progress, run, stages
+from jaxdeconf.commands.main import main
+from jaxdeconf.pipeline import progress, run, stages
 
 
 class Strike:
@@ -51,7 +51,7 @@ class Strike:
 
 def arm(strike):
     """Lets every stage tell when it begins and ends, and every checkpoint when it is renamed."""
-    rename, write_report = os.rename, run.write_report
+    rename, save = os.rename, run.save
 
     class Bar(progress.Bar):
         def __enter__(self):
@@ -63,11 +63,11 @@ def arm(strike):
             super().__exit__(*error)
 
     def reporting(*arguments):
-        strike.begin("report")
-        write_report(*arguments)
-        strike.end("report")
+        strike.begin("save")
+        save(*arguments)
+        strike.end("save")
 
-    progress.Bar, run.write_report = Bar, reporting
+    progress.Bar, run.save = Bar, reporting
     os.rename = lambda source, place: strike.rename(rename, source, place)
 
 
@@ -75,4 +75,4 @@ if __name__ == "__main__":
     arm(Strike(*sys.argv[1:4]))
     if sys.argv[1] == "SIGKILL":
         stages.SAVE_SECONDS = 0.0  # at every chunk's edge
-    sys.exit(cli.main("", PRESETS, sys.argv[4:]))
+    sys.exit(main(["cartpole", *sys.argv[4:]]))

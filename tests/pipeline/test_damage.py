@@ -5,25 +5,29 @@ import contextlib
 import gc
 import pickle
 import random
+import re
 import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
 
-from experiments.cartpole import PRESETS
-from jaxdeconf.learn import disentangle
-from jaxdeconf.learn.fit import start
-from jaxdeconf.pipeline import checkpoint, cli, stages, store
+from jaxdeconf import collect, systems
+from jaxdeconf.commands import guard
+from jaxdeconf.commands.main import main
+from jaxdeconf.learn.fit import FitConfig, Training, start
+from jaxdeconf.pipeline import checkpoint, stages, store
+from jaxdeconf.pipeline.plain import write_json
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.store import Store, StoreError, WriteError
+from jaxdeconf.presets import PRESETS
 
-CONFIG = PRESETS["smoke"]
+CONFIG = PRESETS["cartpole"]["smoke"]
 PICKLERS = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
 
 
@@ -36,9 +40,13 @@ def run(tmp_path):
     """A run directory with a `collect`, and a `mask` that was made from it."""
     directory = tmp_path / "run"
     run = Store(directory, CONFIG, resume=False)
-    run.save("collect", 3, state(), {"seconds": 1.0})
-    run.save("mask", 0, state(2.0), {}, ["collect"])
+    run.save("collect", 3, state(), {"seconds": 1.0}, {})
+    run.save("mask", 0, state(2.0), {}, made_from(state()))
     return directory
+
+
+def made_from(collected):
+    return {"collect": checkpoint.fingerprint(collected)}
 
 
 def reopened(directory, config=CONFIG):
@@ -49,7 +57,7 @@ def refused(directory, words):
     """Loading `collect` ends with one line that says so, and leaves every file as it is."""
     before = contents(directory)
     with pytest.raises(StoreError, match=words) as error:
-        reopened(directory).load("collect", state)
+        reopened(directory).load("collect", state, {})
     assert "\n" not in str(error.value)
     assert str(directory / "checkpoints" / "collect") in str(error.value)
     assert "delete" in str(error.value)
@@ -81,7 +89,7 @@ def test_a_flipped_byte_anywhere_is_seen(run):
             path.write_bytes(flipped)
             refused(run, "differs from what was written")
         path.write_bytes(whole)
-    assert reopened(run).load("collect", state) is not None
+    assert reopened(run).load("collect", state, {}) is not None
 
 
 def test_a_truncated_a_missing_and_an_added_file_are_seen(run):
@@ -99,7 +107,7 @@ def test_a_truncated_a_missing_and_an_added_file_are_seen(run):
 
 def test_a_checkpoint_of_another_run_is_seen(run, tmp_path):
     other = Store(tmp_path / "other", replace(CONFIG, seed=1), resume=False)
-    other.save("collect", 3, state(), {})
+    other.save("collect", 3, state(), {}, {})
     shutil.rmtree(run / "checkpoints" / "collect")
     shutil.copytree(tmp_path / "other/checkpoints/collect", run / "checkpoints/collect")
     refused(run, "made with another config, or another version")
@@ -108,32 +116,32 @@ def test_a_checkpoint_of_another_run_is_seen(run, tmp_path):
 def test_a_missing_stage_is_redone_and_what_follows_from_it_kept_if_it_comes_out_the_same(run):
     shutil.rmtree(run / "checkpoints" / "collect")
     again = reopened(run)
-    assert again.load("collect", state) is None
-    again.save("collect", 3, state(), {})
-    assert again.load("mask", state, ["collect"]) is not None
+    assert again.load("collect", state, {}) is None
+    again.save("collect", 3, state(), {}, {})
+    assert again.load("mask", state, made_from(state())) is not None
 
 
 def test_what_follows_from_a_stage_that_came_out_otherwise_is_refused(run):
     shutil.rmtree(run / "checkpoints" / "collect")
     again = reopened(run)
-    again.save("collect", 3, state(1.0 + 1e-6), {})
+    again.save("collect", 3, state(1.0 + 1e-6), {}, {})
     with pytest.raises(StoreError, match=r"mask/0: .*made from another collect.*delete .*mask"):
-        again.load("mask", state, ["collect"])
+        again.load("mask", state, made_from(state(1.0 + 1e-6)))
 
 
 def test_a_killed_saves_remains_are_not_read_and_then_removed(run):
     partial = run / "checkpoints/collect/7.partial"
     shutil.copytree(run / "checkpoints/collect/3", partial)
     again = reopened(run)
-    assert int(again.load("collect", state)[0].step) == 0
-    again.save("collect", 7, state(3.0), {})
+    assert int(again.load("collect", state, {})[0].step) == 0
+    again.save("collect", 7, state(3.0), {}, {})
     assert [path.name for path in (run / "checkpoints/collect").iterdir()] == ["7"]
 
 
 def full(directory):
-    """A file system of a megabyte, if this user may mount one."""
+    """A file system of less than a megabyte, if this user may mount one."""
     directory.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(directory)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=800k", "tmpfs", str(directory)]
     return shutil.which("mount") and subprocess.run(mount, capture_output=True).returncode == 0
 
 
@@ -157,14 +165,14 @@ def small_files():
 
 def save_too_much(directory):
     run = Store(directory, CONFIG, resume=False)
-    run.save("collect", 3, state(), {})
+    run.save("collect", 3, state(), {}, {})
     noise = jnp.asarray(np.random.default_rng(0).normal(size=400_000), jnp.float32)
     with pytest.raises(WriteError, match=r"collect/7: cannot be written .*; make room") as error:
-        run.save("collect", 7, start({"params": {"w": noise}, "batch_stats": {}}), {})
+        run.save("collect", 7, start({"params": {"w": noise}, "batch_stats": {}}), {}, {})
     assert "\n" not in str(error.value)
     assert str(error.value).endswith(f"--resume {directory}")
     assert [path.name for path in (directory / "checkpoints/collect").iterdir()] == ["3"]
-    assert reopened(directory).load("collect", state) is not None
+    assert reopened(directory).load("collect", state, {}) is not None
 
 
 def test_a_full_disk_keeps_what_was_saved(small_disk):
@@ -179,25 +187,25 @@ def test_a_file_too_large_keeps_what_was_saved(small_files, tmp_path):
 def test_a_full_disk_ends_a_run_with_one_line(small_disk, experiment, smoke):
     process = experiment(*smoke, "--out", small_disk / "run")
     assert process.returncode == 1, process.stderr
-    run, file = small_disk / "run", small_disk / "run/checkpoints/disentangle/39"
-    assert process.stderr == (
-        f"error: {file}: cannot be written (No space left on device); "
-        f"make room, then go on with --resume {run}\n"
-    )
+    run = small_disk / "run"
+    words = r"error: (\S*): cannot be written \(No space left on device\); "
+    said = re.fullmatch(words + f"make room, then go on with --resume {run}\n", process.stderr)
+    assert said, process.stderr
+    assert said[1].startswith(str(run))
     assert checkpoint.read_notes(run / "checkpoints/collect/0")
 
 
 def test_a_report_that_cannot_be_written_names_its_file(tmp_path):
     words = r"nowhere/results.json.*: cannot be written \(No such"
     with pytest.raises(WriteError, match=words), store.writing(tmp_path):
-        store.write_json(tmp_path / "nowhere" / "results.json", {})
+        write_json(tmp_path / "nowhere" / "results.json", {})
     words = f"^{tmp_path}: cannot be written .No space"
     with pytest.raises(WriteError, match=words), store.writing(tmp_path):
         raise OSError(28, "No space left on device")
 
 
-def exits_with(code, words, capsys, *arguments, presets=PRESETS):
-    assert cli.main("", presets, [str(a) for a in arguments]) == code
+def exits_with(code, words, capsys, *arguments, command="cartpole"):
+    assert main([command, *map(str, arguments)]) == code
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.count("\n") == 1
@@ -235,15 +243,14 @@ def test_a_run_is_not_overwritten(run, capsys):
 
 def test_a_run_of_another_config_system_or_version_is_not_resumed(run, capsys, monkeypatch):
     before = contents(run)
-    flags = ("--vae.beta", "9")
-    exits_with(2, "--vae.beta was 2.0, is 9.0; leave", capsys, "--resume", run, *flags)
+    flags = ("--disentangle.beta", "9")
+    exits_with(2, "--disentangle.beta was 2.0, is 9.0; leave", capsys, "--resume", run, *flags)
     flags = ("--preset", "laptop")
     exits_with(2, "--preset was smoke, is laptop", capsys, "--resume", run, *flags)
-    words = f"{run / 'config.json'}: a run of cartpole, not of pendulum; use python -m experiments"
-    presets = {"laptop": SimpleNamespace(system="pendulum")}
-    exits_with(2, words, capsys, "--resume", run, presets=presets)
+    words = f"{run}: a run of cartpole, not of reacher; use jaxdeconf cartpole"
+    exits_with(2, words, capsys, "--resume", run, command="reacher")
     monkeypatch.setattr(store, "__version__", "9.9.9")
-    words = f"{run / 'config.json'}: a run of jaxdeconf 0.1.0, not of this version, 9.9.9"
+    words = f"{run / 'config.json'}: a run of jaxdeconf 0.2.0, not of this version, 9.9.9"
     exits_with(2, words, capsys, "--resume", run)
     assert contents(run) == before
 
@@ -251,7 +258,7 @@ def test_a_run_of_another_config_system_or_version_is_not_resumed(run, capsys, m
 def test_the_first_moment_of_a_killed_run_is_no_run(tmp_path):
     (tmp_path / "config.json.partial").write_text("{")
     Store(tmp_path, CONFIG, resume=False)
-    assert reopened(tmp_path).load("collect", state) is None
+    assert reopened(tmp_path).load("collect", state, {}) is None
 
 
 class Trap:
@@ -279,7 +286,7 @@ def test_a_planted_pickle_does_not_run(run, tmp_path):
         if path.name != "SHA256SUMS":  # an attacker writes new checksums, too
             (folder / "SHA256SUMS").write_text(checkpoint._sums(folder))
         with contextlib.suppress(StoreError):  # Orbax does not read all of its files
-            reopened(run).load("collect", state)
+            reopened(run).load("collect", state, {})
         path.write_bytes(whole)
         (folder / "SHA256SUMS").write_text(sums)
     gc.collect()  # here, where they are filtered, and not in whichever test is next
@@ -299,65 +306,76 @@ def test_nothing_imports_pickle_or_allows_it():
             assert getattr(node, "arg", None) != "allow_pickle", file
 
 
-class Losses:
-    """Stands for a training: yields a state a chunk, with these losses."""
+def ill(weight):
+    """A loss that is `weight`(step) times that of a flat valley."""
 
-    def __init__(self, *losses, weights=1.0):
-        self.losses, self.weights = losses, weights
+    def objective(_):
+        def loss(variables, data, indices, key, step):
+            return weight(step) * jnp.sum(variables["params"]["w"] ** 2), ({}, {})
 
-    def __call__(self, config, state, images, key):
-        for chunk, value in enumerate(self.losses, 1):
-            variables = {"params": {"w": jnp.full(6, self.weights)}, "batch_stats": {}}
-            yield start(variables)._replace(step=jnp.int32(8 * chunk)), {"loss": value}
+        return loss
+
+    return objective
 
 
 @pytest.fixture
-def training(monkeypatch, tmp_path):
-    """A run whose β-VAE does nothing; saves at every chunk's edge."""
-    monkeypatch.setattr(stages, "valid_frames", lambda *_: (jnp.zeros((640, 64, 64, 3)), None))
-    monkeypatch.setattr(disentangle, "initial_state", lambda *_: state())
-    monkeypatch.setattr(stages, "SAVE_SECONDS", 0.0)
-    run = Store(tmp_path / "run", CONFIG, resume=False)
-    run.save("collect", 0, state(), {})
+def training(tmp_path):
+    """A run that trains with a given loss; saves at every chunk's edge."""
+    held = Store(tmp_path / "run", CONFIG, resume=False)
+    reporter = Reporter(Console(quiet=True))
+    run = stages.Run(CONFIG, systems.get("cartpole"), held, reporter)
 
-    def train(losses):
-        monkeypatch.setattr(disentangle, "disentangle", losses)
-        this = stages.Run(CONFIG, run, Reporter(Console(quiet=True)), {})
-        collected = stages.Collected(None, None, None, None, None)
-        return stages.train_disentangler(this, collected)
+    def train(objective):
+        config = FitConfig(steps=32, batch_size=8, chunk=8)
+        key = jax.random.key(0)
+        one = Training(objective, config, 64, key, lambda: None, lambda _: state(), lambda s: s)
+        return run.watch("train", one)
 
-    train.store = run
+    def saved():
+        none = checkpoint.fingerprint(None)
+        return held.load("train", state, {"collect": none, "view": none})
+
+    train.saved = saved
     return train
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 def test_a_loss_that_is_not_finite_stops_the_stage_and_keeps_the_last_good_checkpoint(
-    training, value
+    training, value, monkeypatch
 ):
-    with pytest.raises(FloatingPointError, match=f"^disentangle, step 24: loss is {value}$"):
-        training(Losses(0.5, 0.4, value, 0.3))
-    saved, _ = training.store.load("disentangle", state, ["collect"])
-    assert int(saved.step) == 16
+    monkeypatch.setattr(stages, "SAVE_SECONDS", 0.0)
+    bad = ill(lambda step: jnp.where(step == 23, value, 1.0))
+    with pytest.raises(FloatingPointError, match=f"^train, step 24: loss is {value}$"):
+        training(bad)
+    assert int(training.saved()[0].step) == 16
 
 
-def test_weights_that_are_not_finite_are_not_saved(training):
-    with pytest.raises(FloatingPointError, match=r"^disentangle, step 8: weights are not finite$"):
-        training(Losses(0.5, weights=float("nan")))
-    assert training.store.load("disentangle", state, ["collect"]) is None
+def test_weights_that_are_not_finite_are_not_saved(training, monkeypatch):
+    monkeypatch.setattr(stages, "SAVE_SECONDS", 0.0)
+
+    def objective(_):
+        def loss(variables, *_):  # 0 at 1, where its slope is infinite
+            return jnp.sqrt(jnp.abs(variables["params"]["w"] - 1.0)).sum() * 0.0, ({}, {})
+
+        return loss
+
+    with pytest.raises(FloatingPointError, match=r"^train, step 8: "):
+        training(objective)
+    assert training.saved() is None
 
 
 def test_divergence_exits_with_1_and_one_line(tmp_path, capsys, monkeypatch):
     def diverge(*_):
         raise FloatingPointError("disentangle, step 24: loss is nan")
 
-    monkeypatch.setattr(stages, "collect", diverge)
-    monkeypatch.setattr(cli, "cache_compilations", lambda: None)
+    monkeypatch.setattr(collect, "collect", diverge)
+    monkeypatch.setattr(guard, "cache_compilations", lambda: None)
     words = f"disentangle, step 24: loss is nan; the last good checkpoint is in {tmp_path / 'run'}"
     exits_with(1, words, capsys, "--preset", "smoke", "--out", tmp_path / "run")
 
 
 def test_too_little_memory_exits_with_1_and_one_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(cli, "cache_compilations", lambda: None)
+    monkeypatch.setattr(guard, "cache_compilations", lambda: None)
     huge = ("--collect.random-trajectories", 2_000_000_000)
     arguments = ("--preset", "smoke", "--out", tmp_path / "run", *huge)
     exits_with(1, "not enough memory; make sizes smaller", capsys, *arguments)

@@ -8,7 +8,6 @@ import shutil
 import zlib
 from collections import Counter
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import jax
@@ -16,21 +15,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.experimental.key_reuse._core import check_key_reuse  # the checker, without compiling
-from rich.console import Console
 
-from experiments.cartpole import PRESETS
-from jaxdeconf import evaluate, leakage, systems
+from jaxdeconf import evaluate, leakage, methods, systems
 from jaxdeconf.expert import ExpertConfig, expert_trajectories
 from jaxdeconf.independence import permutation_p_value
-from jaxdeconf.learn import clone, disentangle, views
+from jaxdeconf.keys import named
+from jaxdeconf.learn import clone, disentangle, fit
+from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.nets.resnet import ResNetConfig
-from jaxdeconf.pipeline import stages
-from jaxdeconf.pipeline.progress import Reporter
+from jaxdeconf.presets import PRESETS
 from jaxdeconf.systems import random_trajectories
-from jaxdeconf.systems.rollout import frames, rollout, sample_action
+from jaxdeconf.systems.rollout import rollout, sample_action
 
 SYSTEM = systems.get("cartpole")
-CONFIG = PRESETS["smoke"]
+CONFIG = PRESETS["cartpole"]["smoke"]
 # Named draws that the policies of a run share, so that they differ in their views alone: the same
 # first weights, shuffles, rollouts' first nuisance, redrawn nuisance, and regression.
 SHARED = {"policy initial weights", "cloning", "evaluation", "copycat", "leakage"}
@@ -59,14 +57,15 @@ def test_the_number_of_devices_changes_nothing(done, experiment, numbers, tmp_pa
 
 
 def named_keys():
-    """How often each name stands in the pipeline's source, as `key("name")`."""
+    """How often each name stands in the package's source, as `named(key, "name")`."""
     found = Counter()
-    for file in Path(stages.__file__).parent.glob("*.py"):
+    for file in Path(methods.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            called = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
-            if called and node.func.attr == "key" and isinstance(node.args[0], ast.Constant):
-                found[node.args[0].value] += isinstance(node.args[0].value, str)
-    return +found
+            called = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+            if called and node.func.id == "named":
+                assert isinstance(node.args[1], ast.Constant), f"{file}:{node.lineno}"
+                found[node.args[1].value] += 1
+    return found
 
 
 def test_every_named_key_is_drawn_from_in_one_place():
@@ -76,30 +75,64 @@ def test_every_named_key_is_drawn_from_in_one_place():
     assert len({zlib.crc32(name.encode()) for name in names}) == len(names)
 
 
-def run_of(seed):
-    config = replace(CONFIG, seed=seed)
-    return stages.Run(config, None, Reporter(Console(quiet=True)), {})
-
-
 def test_names_and_seeds_have_different_keys():
     keys = {
-        tuple(jax.random.key_data(run_of(seed).key(name)).tolist())
+        tuple(jax.random.key_data(named(jax.random.key(seed), name)).tolist())
         for seed in range(20)
         for name in named_keys()
     }
     assert len(keys) == 20 * len(named_keys())
 
 
+NETWORK = ResNetConfig(width=2, stem="imagenet")
+CLONE = CloneConfig(batch_size=4, steps=1, network=NETWORK)
+VAE = replace(
+    CONFIG.disentangle,
+    steps=1,
+    batch_size=4,
+    network=replace(CONFIG.disentangle.network, linear_path=False),
+)
+FEW = replace(SYSTEM, steps=3)
+
+
+def images():
+    return np.zeros((16, 64, 64, 3), np.uint8) + np.arange(16, dtype=np.uint8)[:, None, None, None]
+
+
+def cloning(key):
+    def data():
+        actions = np.linspace(-1, 1, 16, dtype=np.float32)[:, None]
+        return clone.Demonstrations(jnp.asarray(images()), jnp.arange(16), jnp.asarray(actions))
+
+    return clone.training(CLONE, data, 16, methods.identity, {}, key)
+
+
+def disentangling(key):
+    return disentangle.training(VAE, lambda: jnp.asarray(images()), 16, images, key)
+
+
+def zeros(training):
+    """Its first state's shapes, of zeros: numbers, where the key is only traced."""
+    shapes = jax.eval_shape(lambda: training.start(training.data()))
+    return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes)
+
+
+def policy():
+    return cloning(jax.random.key(9)).trained(zeros(cloning(jax.random.key(9))))
+
+
+def driven(key):
+    return evaluate.drive(FEW, policy(), jnp.zeros((2, 4)), key)
+
+
 def test_seeds_differ_in_data_initial_weights_and_rollouts():
     def made(seed):
-        run = run_of(seed)
-        data = random_trajectories(SYSTEM, run.key("random"), 2)
-        weights = stages.initial_policy(run).variables["params"]["stem"]["kernel"]
-        images = frames(SYSTEM, data).reshape(-1, 64, 64, 3)
-        config = replace(CONFIG.vae, network=replace(CONFIG.vae.network, linear_path=False))
-        vae = disentangle.initial_state(config, images, run.key("VAE initial weights"))
-        first = vae.variables["params"]["encoder"]["conv_1"]["kernel"]
-        nuisance = driven(run.key("evaluation")).previous_actions[:, 0]
+        key = jax.random.key(seed)
+        data = random_trajectories(SYSTEM, named(key, "random"), 2)
+        one, other = cloning(key), disentangling(key)
+        weights = one.start(one.data()).variables["params"]["stem"]["kernel"]
+        first = other.start(other.data()).variables["params"]["encoder"]["conv_1"]["kernel"]
+        nuisance = driven(named(key, "evaluation")).previous_actions[:, 0]
         return data.states, data.actions, weights, first, nuisance
 
     for one, same, other in zip(made(0), made(0), made(1), strict=True):
@@ -107,51 +140,29 @@ def test_seeds_differ_in_data_initial_weights_and_rollouts():
         assert not np.isclose(one, other).any()
 
 
-DRIVER = evaluate.Driver(ResNetConfig(width=2, stem="imagenet"), views.identity)
-FEW = replace(SYSTEM, steps=3)
-
-
-def policy():
-    config = clone.CloneConfig(network=DRIVER.network)
-    return clone.initial_state(config, (64, 64, 3), 1, jax.random.key(9))
-
-
-def driven(key):
-    weights = evaluate.Weights(policy().variables, {})
-    return evaluate.drive(FEW, DRIVER, weights, jnp.zeros((2, 4)), key)
-
-
-def images():
-    return np.zeros((16, 64, 64, 3), np.uint8) + np.arange(16, dtype=np.uint8)[:, None, None, None]
-
-
-def zeros(make):
-    """What `make` would make, of zeros: numbers, where the key is only traced."""
-    return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), jax.eval_shape(make))
-
-
-def trained(key):
-    config = clone.CloneConfig(batch_size=4, network=DRIVER.network)
-    data = clone.Demonstrations(images(), np.zeros(16, bool), np.linspace(-1, 1, 16)[:, None])
-    return next(clone.clone(config, zeros(policy), data, key, ()))
-
-
-VAE = replace(CONFIG.vae, batch_size=4)
-
-
 def begun(key):
-    return disentangle.initial_state(VAE, jnp.asarray(images()), key)
+    return disentangle.initial_state(CONFIG.disentangle, jnp.asarray(images()), key)
 
 
-def disentangled(key):
-    state = zeros(partial(begun, jax.random.key(0)))
-    return next(disentangle.disentangle(VAE, state, images(), key))
+def trained(of):
+    def train(key):
+        training = of(key)
+        chunks = fit.fit(
+            training.objective,
+            zeros(of(jax.random.key(0))),
+            training.data(),
+            training.samples,
+            training.key,
+            training.config,
+        )
+        return next(chunks)
+
+    return train
 
 
 def copied(key):
     drive_key, copy_key = jax.random.split(key)
-    weights = evaluate.Weights(policy().variables, {})
-    return evaluate.copycat(FEW, DRIVER, weights, driven(drive_key), copy_key)
+    return evaluate.copycat(FEW, policy(), driven(drive_key), copy_key)
 
 
 def one_random_trajectory(key):
@@ -178,8 +189,8 @@ def leaked(key):
         copied,
         leaked,
         begun,
-        disentangled,
-        trained,
+        trained(disentangling),
+        trained(cloning),
         lambda key: permutation_p_value(np.arange(8.0), np.arange(8.0) ** 2, key, 9),
     ],
     ids=[

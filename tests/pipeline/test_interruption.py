@@ -16,23 +16,20 @@ from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.pipeline.interruption import Interrupted, Interruption
 
 KILLED = ("-m", "tests.pipeline.killed")
-# Every stage, in order. Two of the kills come in the middle of a save: the new checkpoint is whole
-# but not yet in its place; it is, but the old one has not been removed.
+# One of each way in which a run saves: a stage in one piece, a training in the middle, and the
+# results. Two of the kills come in the middle of a save: the new checkpoint is whole but not yet in
+# its place; it is, but the old one has not been removed.
 STRIKES = [
     ("SIGKILL", "collect", "random"),
     ("SIGTERM", "disentangle", "random"),
     ("SIGKILL", "disentangle", "renaming"),
-    ("SIGKILL", "mask", "random"),
-    ("SIGKILL", "clone BcVanilla", "random"),
     ("SIGKILL", "clone BcManual", "renamed"),
-    ("SIGKILL", "clone Masked", "random"),
-    ("SIGKILL", "clone Reconstructed", "random"),
-    ("SIGKILL", "report", "random"),
+    ("SIGKILL", "save", "random"),
 ]
 
 
 @pytest.mark.slow
-def test_a_run_killed_in_every_stage_ends_with_the_same_numbers(
+def test_a_run_killed_in_every_kind_of_stage_ends_with_the_same_numbers(
     done, experiment, smoke, numbers, tmp_path
 ):
     directory, moment = tmp_path / "run", random.Random(7)
@@ -40,7 +37,7 @@ def test_a_run_killed_in_every_stage_ends_with_the_same_numbers(
     arguments = [*smoke, "--out", directory]
     for name, stage, when in STRIKES:
         if when == "random":
-            when = moment.uniform(0.0, min(seconds[stage], 10.0))
+            when = moment.uniform(0.0, min(seconds.get(stage, 0.1), 10.0))
         run = experiment(name, stage, when, *arguments, start=KILLED)
         words = f"{name} in {stage} at {when}: {run.stderr}"
         if name == "SIGKILL":
@@ -50,7 +47,7 @@ def test_a_run_killed_in_every_stage_ends_with_the_same_numbers(
             assert run.stderr == f"interrupted; go on with --resume {directory}\n"
             saved = checkpoint.latest(directory / "checkpoints" / stage)
             assert saved is not None, words  # its end is not for many seconds, nor its next save
-        assert not (directory / "results.json").exists() or stage == "report"
+        assert not (directory / "results.json").exists() or stage == "save"
         arguments = ["--resume", directory]
     last = experiment(*arguments)
     assert last.returncode == 0, last.stderr

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxdeconf.commands.main import main
+from jaxdeconf.methods import METHODS
+
 pytestmark = pytest.mark.slow
-POLICIES = ("BcVanilla", "BcManual", "Masked", "Reconstructed")
+POLICIES = tuple(METHODS)
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +22,8 @@ def results(done):
 def test_it_says_what_it_found_and_is_quiet_beside(done):
     _, run = done
     assert run.stderr == ""
-    assert run.stdout.startswith("cartpole, smoke, seed 0: masked latents: ")
+    assert run.stdout.startswith("cartpole, preset smoke with ")
+    assert "seed 0" in run.stdout.splitlines()[0]
     assert all(policy in run.stdout for policy in POLICIES)
     assert run.stdout.rstrip().endswith("report.html")
 
@@ -45,7 +49,7 @@ def test_results_hold_what_is_promised(results):
         assert last[1:] == pytest.approx(
             [policy["rollout_loss"]["mean"], policy["rollout_loss"]["std"]], rel=1e-3
         )
-    stages = {"collect", "disentangle", "mask", "report", *(f"clone {p}" for p in POLICIES)}
+    stages = {"collect", "disentangle", "mask", "judge", *(f"clone {p}" for p in POLICIES)}
     assert set(results["seconds"]) == stages
     assert {"python", "jax", "jaxdeconf", "device"} <= set(results["versions"])
 
@@ -79,13 +83,26 @@ def test_a_finished_run_resumes_to_the_same_numbers(done, experiment, numbers, t
     # A missing stage is redone; that it comes out the same keeps the later ones valid.
     for name in ("mask", "clone Masked"):
         shutil.rmtree(copy / "checkpoints" / name)
+    (copy / "results.json").unlink()
     run = experiment("--resume", copy)
     assert run.returncode == 0, run.stderr
     assert numbers(copy) == numbers(done.directory)
 
 
-def test_a_run_is_not_overwritten(done, experiment, smoke):
-    run = experiment(*smoke, "--out", done.directory)
-    assert run.returncode == 2
-    assert run.stderr.count("\n") == 1
-    assert "holds a run; use --resume" in run.stderr
+def test_what_is_finished_is_only_said_again_and_its_report_redrawn(done, capsys, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(done.directory, copy)
+    shutil.rmtree(copy / "checkpoints")  # nothing of it is needed any more
+    shutil.rmtree(copy / "figures")
+    (copy / "report.html").unlink()
+    before = (copy / "results.json").read_bytes()
+    assert main(["report", str(copy)]) == 0
+    assert capsys.readouterr().out == f"report: {copy / 'report.html'}\n"
+    for name in ("dependence", "rollout_loss", "frames", "traversals"):
+        one, other = (d / "figures" / f"{name}.png" for d in (copy, done.directory))
+        assert one.read_bytes() == other.read_bytes()
+    assert (copy / "report.html").read_text() == (done.directory / "report.html").read_text()
+    assert main(["cartpole", "--resume", str(copy)]) == 0
+    said = capsys.readouterr().out.replace(str(copy), str(done.directory))
+    assert said == done.process.stdout
+    assert (copy / "results.json").read_bytes() == before

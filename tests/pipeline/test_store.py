@@ -8,11 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.cartpole import PRESETS
 from jaxdeconf.learn.fit import start
-from jaxdeconf.pipeline.store import Store, StoreError, read_config, write_json
+from jaxdeconf.pipeline import checkpoint
+from jaxdeconf.pipeline.plain import write_json
+from jaxdeconf.pipeline.store import Store, StoreError, WriteError, read_config
+from jaxdeconf.presets import PRESETS
 
-CONFIG = PRESETS["smoke"]
+CONFIG = PRESETS["cartpole"]["smoke"]
 
 
 def state():
@@ -22,10 +24,10 @@ def state():
 
 def test_what_is_saved_comes_back_with_its_types_and_notes(tmp_path):
     store = Store(tmp_path, CONFIG, resume=False)
-    assert store.load("train", state) is None
-    store.save("train", 3, state(), {"history": [[0.5, 1.0]], "seconds": 2.0})
-    store.save("train", 7, state()._replace(step=jnp.int32(7)), {"history": [], "seconds": 4.0})
-    loaded, notes = Store(tmp_path, CONFIG, resume=True).load("train", state)
+    assert store.load("train", state, {}) is None
+    store.save("train", 3, state(), {"history": [[0.5, 1.0]], "seconds": 2.0}, {})
+    store.save("train", 7, state()._replace(step=jnp.int32(7)), {"history": [], "seconds": 4.0}, {})
+    loaded, notes = Store(tmp_path, CONFIG, resume=True).load("train", state, {})
     assert jax.tree.structure(loaded) == jax.tree.structure(state())
     np.testing.assert_array_equal(loaded.variables["params"]["w"], [[0, 1, 2], [3, 4, 5]])
     assert (int(loaded.step), notes) == (7, {"history": [], "seconds": 4.0})
@@ -36,28 +38,22 @@ def test_what_comes_back_runs_the_programs_of_what_was_saved(tmp_path):
     doubled = jax.jit(lambda state: jax.tree.map(lambda leaf: 2 * leaf, state))
     store = Store(tmp_path, CONFIG, resume=False)
     doubled(state())
-    store.save("train", 3, state(), {})
-    doubled(store.load("train", state)[0])
+    store.save("train", 3, state(), {}, {})
+    doubled(store.load("train", state, {})[0])
     assert doubled._cache_size() == 1
 
 
 def test_the_config_comes_back_as_it_was(tmp_path):
-    for name, config in PRESETS.items():
-        Store(tmp_path / name, config, resume=False)
-        assert read_config(tmp_path / name) == config
-
-
-def test_a_run_is_not_overwritten(tmp_path):
-    Store(tmp_path, CONFIG, resume=False)
-    with pytest.raises(StoreError, match=r"holds a run; use --resume .*, or another --out"):
-        Store(tmp_path, replace(CONFIG, seed=1), resume=False)
-    assert read_config(tmp_path).seed == 0
+    for name, config in [*PRESETS["cartpole"].items(), *PRESETS["reacher"].items()]:
+        directory = tmp_path / config.system / name
+        Store(directory, config, resume=False)
+        assert read_config(directory) == config
 
 
 def test_a_run_is_not_resumed_with_another_config(tmp_path):
     Store(tmp_path, CONFIG, resume=False)
-    other = replace(CONFIG, vae=replace(CONFIG.vae, beta=9.0))
-    with pytest.raises(StoreError, match=r"another config: --vae.beta was 2.0, is 9.0"):
+    other = replace(CONFIG, disentangle=replace(CONFIG.disentangle, beta=9.0))
+    with pytest.raises(StoreError, match=r"another config: --disentangle.beta was 2.0, is 9.0"):
         Store(tmp_path, other, resume=True)
 
 
@@ -74,19 +70,65 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 
 def test_a_checkpoint_of_something_else_is_named_and_kept(tmp_path):
     store = Store(tmp_path, CONFIG, resume=False)
-    store.save("train", 3, state(), {})
+    store.save("train", 3, state(), {}, {})
     with pytest.raises(StoreError, match=r"train/3: not a checkpoint of this run .*delete"):
-        store.load("train", lambda: {"other": jnp.zeros(2)})
-    assert store.load("train", state) is not None
+        store.load("train", lambda: {"other": jnp.zeros(2)}, {})
+    assert store.load("train", state, {}) is not None
+
+
+def test_out_of_memory_and_faults_of_ours_are_not_blamed_on_the_files(tmp_path, monkeypatch):
+    """Else half an hour's training would be deleted on our advice."""
+    store = Store(tmp_path, CONFIG, resume=False)
+    store.save("train", 3, state(), {}, {})
+
+    def fails(error):
+        def fail(*_):
+            raise error
+
+        return fail
+
+    for error in (MemoryError(), jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 1 GB")):
+        with monkeypatch.context() as patch:
+            patch.setattr(checkpoint, "read_state", fails(error))
+            with pytest.raises(type(error)):
+                store.load("train", state, {})
+        with monkeypatch.context() as patch:
+            patch.setattr(checkpoint, "write", fails(error))
+            with pytest.raises(type(error)):
+                store.save("train", 4, state(), {}, {})
+    with pytest.raises(ZeroDivisionError):
+        store.load("train", fails(ZeroDivisionError()), {})
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "write", fails(ValueError("a bug")))
+        with pytest.raises(ValueError, match=r"^a bug$"):
+            store.save("train", 4, state(), {}, {})
+    assert store.load("train", state, {}) is not None
+
+
+def test_a_disk_that_is_full_is_said_to_be(tmp_path, monkeypatch):
+    store = Store(tmp_path, CONFIG, resume=False)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoint, "write", full)
+    with pytest.raises(WriteError, match=r"No space left on device\); make room"):
+        store.save("train", 3, state(), {}, {})
 
 
 def test_json_is_replaced_in_one_step(tmp_path):
     file = tmp_path / "a.json"
-    assert write_json(file, {"x": jnp.arange(3), "y": (np.float32(0.5), True, None)}) == {
-        "x": [0, 1, 2],
-        "y": [0.5, True, None],
-    }
-    assert json.loads(file.read_text())["y"] == [0.5, True, None]
+    write_json(file, {"x": jnp.arange(3), "y": (np.float32(0.5), True, None, float("nan"))})
+    assert json.loads(file.read_text()) == {"x": [0, 1, 2], "y": [0.5, True, None, None]}
     with pytest.raises(TypeError):
         write_json(file, {"x": object()})
     assert json.loads(file.read_text())["x"] == [0, 1, 2]
+
+
+def test_a_run_of_the_version_before_is_refused_in_one_line(tmp_path):
+    plain = {"jaxdeconf": "0.1.0", "system": "cartpole", "vae": {"epochs": 2}}
+    (tmp_path / "config.json").write_text(json.dumps(plain))
+    words = r"config.json: a run of jaxdeconf 0\.1\.0, not of this version"
+    with pytest.raises(StoreError, match=words) as error:
+        read_config(tmp_path)
+    assert "\n" not in str(error.value)

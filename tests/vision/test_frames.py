@@ -1,4 +1,6 @@
-"""CartPole's frames as functions of the state."""
+"""Frames as functions of the state, CartPole's above all, and at other sizes than the paper's."""
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -73,3 +75,54 @@ def test_vmap_matches_loop():
     frame = SYSTEM.frame(states[0], actions[0])
     assert frame.dtype == jnp.uint8
     assert np.abs(np.asarray(frame, float) / 255 - single[0]).max() < 0.51 / 255
+
+
+@pytest.fixture(params=systems.names())
+def shown(request):
+    """A system, a state and a previous action."""
+    system = systems.get(request.param)
+    return system, system.sample_initial(jax.random.key(0)), 0.6 * system.limits
+
+
+def resized(system, *size):
+    return dataclasses.replace(system, size=size)
+
+
+def test_twice_the_resolution_averages_to_the_papers_frame(shown):
+    system, *moment = shown
+    fine, coarse = resized(system, 128, 128).render(*moment), system.render(*moment)
+    error = jnp.abs(fine.reshape(64, 2, 64, 2, 3).mean((1, 3)) - coarse)
+    assert error.max() < 0.15  # at the edges, where the coarse frame smooths over its wider pixels
+    assert error.mean() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("size", "middle"), [((48, 80), np.s_[:, 16:64]), ((80, 48), np.s_[16:64])]
+)
+def test_scene_is_in_the_middle_of_a_long_frame(shown, size, middle):
+    """With the nuisance, and as it is in a square frame of the shorter side."""
+    system, *moment = shown
+    wide, square = (resized(system, *s) for s in (size, (48, 48)))
+    assert wide.frame_shape == (*size, 3)
+    image = wide.render(*moment)
+    assert image.shape == wide.frame_shape
+    np.testing.assert_allclose(image[middle], square.render(*moment), atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [(96, 96), (48, 80), (50, 34)])
+def test_cover_hides_the_nuisance_at_any_size(shown, size):
+    """Its edges too, which lie within pixels here."""
+    system, state, action = shown
+    system = resized(system, *size)
+    one, two = system.render(state, action), system.render(state, -action)
+    assert jnp.abs(one - two).max() > 0.1
+    covered = system.nuisance.cover(one)
+    np.testing.assert_array_equal(covered, system.nuisance.cover(two))
+    np.testing.assert_array_equal(covered, system.draw(state, size))
+
+
+def test_gradients_are_finite_at_another_size(shown):
+    system, *moment = shown
+    gradients = jax.grad(lambda *m: resized(system, 48, 80).render(*m).sum(), (0, 1))(*moment)
+    assert all(jnp.isfinite(gradient).all() for gradient in gradients)
+    assert jnp.abs(gradients[0]).max() > 0

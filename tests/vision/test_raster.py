@@ -8,7 +8,8 @@ import pytest
 
 from jaxdeconf.vision import raster
 
-WHITE = jnp.ones((32, 32, 3))
+WHITE = jnp.ones((64, 64, 3))
+GRID = raster.pixel_centers((64, 64))
 INK = (0.2, 0.4, 0.9)
 
 
@@ -17,9 +18,13 @@ def points(seed=0, count=200):
     return xy, (jnp.asarray(xy[:, 0]), jnp.asarray(xy[:, 1]))
 
 
-def test_pixel_centers_run_over_columns_and_rows():
-    x, y = (np.broadcast_to(axis, (8, 8)) for axis in raster.pixel_centers(8))
-    assert (x[3, 5], y[3, 5]) == (5.5, 3.5)
+@pytest.mark.parametrize(
+    ("size", "pixel"), [((64, 64), (5.5, 3.5)), ((32, 32), (11, 7)), ((32, 48), (-5, 7))]
+)
+def test_pixel_centers_run_over_columns_and_rows(size, pixel):
+    x, y = (np.broadcast_to(axis, size) for axis in raster.pixel_centers(size))
+    assert (x[3, 5], y[3, 5]) == pixel
+    np.testing.assert_allclose((x.mean(), y.mean()), 32, rtol=1e-6)  # the scene's middle
 
 
 def test_capsule_and_disc_match_brute_force():
@@ -48,20 +53,30 @@ def test_rectangle_matches_brute_force():
     np.testing.assert_allclose(raster.rectangle(grid, center, half), expected, atol=5e-3)
 
 
-def test_painted_area_is_the_shape_area():
-    distance = raster.disc(raster.pixel_centers(32), (15.7, 16.2), 7.3)
-    ink = 1 - raster.paint(WHITE, distance, (0.0, 0.0, 0.0))
-    np.testing.assert_allclose(ink[..., 0].sum(), np.pi * 7.3**2, rtol=2e-3)
+@pytest.mark.parametrize("size", [(64, 64), (96, 96), (48, 80)])
+def test_painted_area_is_the_shape_area(size):
+    points = raster.pixel_centers(size)
+    ink = 1 - raster.paint(jnp.ones((*size, 3)), raster.disc(points, (15.7, 16.2), 7.3), (0, 0, 0))
+    pixels_per_unit = min(size) / 64
+    np.testing.assert_allclose(ink[..., 0].sum(), np.pi * (7.3 * pixels_per_unit) ** 2, rtol=3e-3)
     assert 0 <= ink.min() <= ink.max() <= 1
+
+
+@pytest.mark.parametrize("side", [32, 64, 128])
+def test_edges_are_one_pixel_wide(side):
+    """An edge between two pixels is sharp at any resolution."""
+    box = raster.rectangle(raster.pixel_centers((side, side)), (24.0, 32.0), (8.0, 16.0))
+    expected = np.zeros((side, side))
+    expected[side // 4 : 3 * side // 4, side // 4 : side // 2] = 1
+    np.testing.assert_allclose(raster.coverage(box), expected, atol=1e-6)
 
 
 def shapes(parameters):
     """One image of every shape, from 11 parameters."""
-    grid, image = raster.pixel_centers(32), WHITE
     p = parameters
-    image = raster.paint(image, raster.rectangle(grid, p[0:2], p[2:4]), INK)
-    image = raster.paint(image, raster.capsule(grid, p[4:6], p[6:8], 1.6), (0.9, 0.1, 0.3))
-    return raster.paint(image, raster.disc(grid, p[8:10], p[10]), (0.1, 0.8, 0.2))
+    image = raster.paint(WHITE, raster.rectangle(GRID, p[0:2], p[2:4]), INK)
+    image = raster.paint(image, raster.capsule(GRID, p[4:6], p[6:8], 1.6), (0.9, 0.1, 0.3))
+    return raster.paint(image, raster.disc(GRID, p[8:10], p[10]), (0.1, 0.8, 0.2))
 
 
 GENERIC = (9.37, 8.1, 4.2, 3.7, 20.2, 5.1, 27.6, 14.3, 12.4, 23.8, 5.2)
@@ -76,7 +91,7 @@ DEGENERATE = {
 def test_gradients_match_finite_differences():
     with jax.enable_x64(True):
         at, h = jnp.array(GENERIC), 1e-5
-        weights = jnp.asarray(np.random.default_rng(0).normal(size=(32, 32, 3)))
+        weights = jnp.asarray(np.random.default_rng(0).normal(size=WHITE.shape))
         loss = jax.jit(lambda p: jnp.sum(weights * shapes(p)))
         gradient = jax.grad(loss)(at)
         steps = h * jnp.eye(len(GENERIC))

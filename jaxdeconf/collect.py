@@ -1,0 +1,119 @@
+"""A simulator's data: an expert's demonstrations and a random policy's frames, from initial states
+set at random (paper, Section III-C, step 1).
+
+Shapes: N trajectories, T time, n frames, H × W pixels, A action.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+
+from jaxdeconf import checks
+from jaxdeconf.demos import Demos
+from jaxdeconf.expert import ExpertConfig, expert_trajectories
+from jaxdeconf.keys import named
+from jaxdeconf.systems import System, Trajectories, random_trajectories
+from jaxdeconf.systems.rollout import frames
+from jaxdeconf.traced import traceable
+
+
+@traceable
+@dataclass(frozen=True)
+class CollectConfig:
+    """How many trajectories are collected, and how they look. Ours: the paper's are a system's."""
+
+    random_trajectories: int = 1000  # random-policy ones, for the β-VAE
+    expert_trajectories: int = 1000  # for the mask and for cloning
+    held_out_trajectories: int = 500  # random-policy ones that judge latents and leakage
+    # Steps of each random-policy trajectory that are used, from the first; None is all, the
+    # paper's. More trajectories of fewer steps show more initial states.
+    random_steps: int | None = None
+    size: tuple[int, int] | None = None  # H, W of the frames; None: the system's own
+
+    def __post_init__(self):
+        for name in ("random_trajectories", "held_out_trajectories"):
+            checks.integer(name, getattr(self, name))
+        # Hoeffding's D is a mean over quintuples.
+        checks.integer("expert_trajectories", self.expert_trajectories, least=5)
+        if self.random_steps is not None:
+            checks.integer("random_steps", self.random_steps)
+        if self.size is not None:
+            checks.size("size", self.size)
+
+
+class Collected(NamedTuple):
+    """All trajectories of a run."""
+
+    random: Trajectories  # for the β-VAE
+    held_out: Trajectories  # random-policy ones that nothing is trained on
+    expert: Trajectories  # for the mask and for cloning
+    evaluation: Trajectories  # the expert from the initial states on which clones are judged
+    unconverged: Array  # [N] steps of `expert` whose plan had not converged
+
+
+class Exploration(NamedTuple):
+    """Frames under a random policy, and what their nuisance shows."""
+
+    images: Array  # uint8 [n, H, W, 3]
+    previous_actions: Array  # [n, A] over the limit
+
+
+def collect(
+    system: System, config: CollectConfig, expert: ExpertConfig, rollouts: int, key: Array
+) -> Collected:
+    """Random-policy and expert trajectories, from initial states set at random.
+
+    Args:
+      system: what moves.
+      config: how many.
+      expert: how the expert plans.
+      rollouts: how many initial states to judge clones on.
+      key: every random choice follows from it by name.
+    """
+    learned, imitated = config.random_trajectories, config.expert_trajectories
+    # Each policy rolls out all its trajectories in one call: one shape, one compilation.
+    random = random_trajectories(
+        system, named(key, "random"), learned + config.held_out_trajectories
+    )
+    random = jax.tree.map(lambda a: a[:, : config.random_steps], random)
+    keys = jax.random.split(named(key, "expert initial states"), imitated + rollouts)
+    states = jax.vmap(system.sample_initial)(keys)
+    driven, unconverged = expert_trajectories(system, states, named(key, "expert"), expert)
+    return Collected(
+        jax.tree.map(lambda a: a[:learned], random),
+        jax.tree.map(lambda a: a[learned:], random),
+        jax.tree.map(lambda a: a[:imitated], driven),
+        jax.tree.map(lambda a: a[imitated:], driven),
+        unconverged[:imitated],
+    )
+
+
+def exploration(system: System, trajectories: Trajectories) -> Exploration:
+    """The frames of all valid steps of random-policy trajectories."""
+    flat = jax.tree.map(lambda a: a[trajectories.valid], trajectories)
+    return Exploration(frames(system, flat), flat.previous_actions / system.limits)
+
+
+def demonstrations(system: System, trajectories: Trajectories, steps: int | None = None) -> Demos:
+    """The first steps of an expert's trajectories, drawn; None is all steps."""
+    first = jax.tree.map(lambda a: a[:, :steps], trajectories)
+    valid = np.asarray(trajectories.valid)[:, :steps]  # a value, also where shapes are asked for
+    return Demos(
+        images=_draw(system, first),
+        actions=first.actions / system.limits,
+        initial_states=first.states[:, 0],
+        valid=None if valid.all() else valid,
+        previous_actions=first.previous_actions / system.limits,
+        state_names=system.state_names,
+        action_names=system.action_names,
+    )
+
+
+@partial(jax.jit, static_argnames="system")
+def _draw(system: System, trajectories: Trajectories) -> Array:
+    """uint8 [N, T, H, W, 3], one trajectory at a time."""
+    return jax.lax.map(partial(frames, system), trajectories)

@@ -1,0 +1,45 @@
+"""`jaxdeconf report DIR`: draws a finished run's, or a sweep's, figures and pages again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from jaxdeconf.commands.guard import complain
+from jaxdeconf.commands.parse import parse
+from jaxdeconf.pipeline.plain import UNREADABLE
+from jaxdeconf.pipeline.store import StoreError, WriteError, cause
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What can be said on the command line."""
+
+    directory: tyro.conf.Positional[Path]  # of a run, of several seeds' runs, or of a sweep
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Redraws a report; returns the exit code."""
+    try:
+        asked = parse(Arguments, "jaxdeconf report", __doc__ or "", arguments, tyro.MISSING)
+        print(f"report: {_redraw(asked.directory)}")
+    except WriteError as error:
+        return complain(error, 1)
+    except (ValueError, StoreError) as error:
+        return complain(error, 2)
+    return 0
+
+
+def _redraw(directory: Path) -> Path:
+    from jaxdeconf.report import run, sweep
+    from jaxdeconf.sweep.log import Log, read_sweep
+
+    if (directory / "sweep.json").exists():
+        sweep.write(directory, read_sweep(directory), Log(directory).rows())
+        return directory / "report.html"
+    try:
+        run.redraw(directory)
+    except UNREADABLE as error:
+        raise StoreError(f"{directory}: no finished run there ({cause(error)})") from error
+    return directory / "report.html"

@@ -1,0 +1,180 @@
+"""`jaxdeconf sweep`: a grid of fields and seeds; what points share is done once, models together.
+
+    jaxdeconf sweep --system cartpole --seeds 4 \\
+        --grid mask.threshold=1e-3,3e-3,1e-2 mask.reaction_horizon=1,3,5
+
+Prints a plan, does it, and leaves rows, a table and plots in the directory. Every flag of the
+experiment (--clone.epochs 0.5, --methods ...) changes all points.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+from jax.experimental import multihost_utils
+
+from jaxdeconf import checks, systems
+from jaxdeconf.commands.guard import cache_compilations, complain, guarded
+from jaxdeconf.commands.parse import Flags, choose, first, parse, parse_value
+from jaxdeconf.methods import masking
+from jaxdeconf.pipeline import machine
+from jaxdeconf.pipeline.config import Config
+from jaxdeconf.pipeline.interruption import Interruption
+from jaxdeconf.pipeline.store import StoreError, require_empty
+from jaxdeconf.presets import PRESETS
+from jaxdeconf.sweep.grid import read_axis
+from jaxdeconf.sweep.log import Log, Sweep, read_sweep, require_same, write_sweep
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What can be said on the command line."""
+
+    config: Flags = field(default_factory=Config)
+    grid: tuple[str, ...] = ()  # fields and their values, STAGE.FIELD=V,V
+    seeds: int = 1  # how many, from --seed on
+    out: Path | None = None  # a new directory; runs/SYSTEM-PRESET-sweep by default
+    resume: Path | None = None  # go on with the sweep in this directory
+    shard: str = "1/1"  # I/N: do the I-th of N parts of the points
+    memory: float | None = None  # GB of a batch; half of what is free by default
+    plan: bool = False  # print the plan and stop
+    devices: int | None = None  # CPU devices of this process; its cores by default
+    coordinator: str | None = None  # HOST:PORT of several processes; `auto` in a cluster
+    process_id: int | None = None  # of this one, from 0 on
+    num_processes: int | None = None  # how many there are
+
+    def __post_init__(self):
+        if self.memory is not None:
+            checks.positive("memory", self.memory)
+        if self.devices is not None:
+            checks.integer("devices", self.devices, most=1024)
+        if self.out is not None and self.resume is not None:
+            raise ValueError(f"out: expected only one of --out and --resume, got {self.out}")
+
+
+def main(arguments: Sequence[str], presets: Mapping[str, Mapping[str, Config]] = PRESETS) -> int:
+    """Does a sweep as the command line asks; presets by system and name.
+
+    Returns:
+      The exit code, as of `guard.guarded`.
+    """
+    try:
+        asked, sweep = read(arguments, presets)
+        shard = _shard(asked.shard)
+        _devices(asked)
+    except (ValueError, StoreError) as error:
+        return complain(error, 2)
+    base = asked.config
+    fallback = Path("runs") / f"{base.system}-{base.preset}-sweep"
+    directory = asked.resume or asked.out or fallback
+    return guarded(lambda stop: _run(asked, sweep, Log(directory, shard), shard, stop), directory)
+
+
+def read(
+    words: Sequence[str], presets: Mapping[str, Mapping[str, Config]]
+) -> tuple[Arguments, Sweep]:
+    """The arguments, on top of the preset that they name, or of the sweep to resume.
+
+    Raises:
+      ValueError: one line that says what is wrong.
+      StoreError: if there is no sweep to resume, or another one.
+    """
+    begun = first(words)
+    checks.one_of("--system", begun.system, tuple(presets))
+    held = None if begun.resume is None else read_sweep(begun.resume)
+    if held is None:
+        preset = choose(presets[begun.system], begun.preset)
+        default = Arguments(replace(preset, methods=masking()))
+    else:
+        default = Arguments(held.base, seeds=held.seeds)
+    asked = parse(Arguments, "jaxdeconf sweep", __doc__ or "", words, default)
+    axes = tuple(read_axis(word, asked.config, parse_value) for word in asked.grid)
+    sweep = Sweep(asked.config, held.axes if held and not axes else axes, asked.seeds)
+    assert sweep.points  # every combination is a valid config, or this raises
+    if begun.resume is not None:
+        require_same(begun.resume, sweep)
+    return asked, sweep
+
+
+def _shard(word: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)/(\d+)", word)
+    shard = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not 1 <= shard[0] <= shard[1]:
+        raise ValueError(f"--shard: expected I/N with 1 <= I <= N, got {word!r}")
+    return shard
+
+
+def _devices(asked: Arguments) -> None:
+    """What must be said before JAX looks for devices."""
+    several = asked.coordinator is not None
+    if not several and (asked.process_id is not None or asked.num_processes is not None):
+        raise ValueError("--coordinator: expected HOST:PORT beside --process-id, got none")
+    count = asked.devices or (1 if several else machine.cores())
+    jax.config.update("jax_num_cpu_devices", count)
+    if asked.coordinator == "auto":
+        jax.distributed.initialize()
+    elif several:
+        if asked.process_id is None or asked.num_processes is None:
+            raise ValueError("--coordinator: expected --process-id and --num-processes, too")
+        jax.distributed.initialize(asked.coordinator, asked.num_processes, asked.process_id)
+
+
+def _run(
+    asked: Arguments, sweep: Sweep, log: Log, shard: tuple[int, int], interruption: Interruption
+) -> None:
+    """Does a sweep, or a part of it, and says what came of it."""
+    # Imported late: --help and a mistyped flag do not wait for the rest to load.
+    from jaxdeconf.pipeline.progress import Reporter
+    from jaxdeconf.report.sweep import write
+    from jaxdeconf.sweep import plan
+    from jaxdeconf.sweep import sweep as sweeping
+
+    cache_compilations()
+    system, alone = systems.get(sweep.base.system), jax.process_index() == 0
+    budget = asked.memory * 1e9 if asked.memory else plan.half_of_free_memory()
+    if alone:
+        print(plan.describe(sweep, system, shard, budget), flush=True)
+    if asked.plan:
+        return
+    if alone:
+        _open(asked, sweep, log, shard)
+    if jax.process_count() > 1:  # the others read its rows
+        multihost_utils.sync_global_devices("opened")
+    rows = sweeping.sweep(sweep, log, Reporter(), interruption, budget, shard, system)
+    if alone:
+        print(write(log.directory, sweep, rows))
+
+
+def _open(asked: Arguments, sweep: Sweep, log: Log, shard: tuple[int, int]) -> None:
+    """A new directory, one with the same sweep, or a StoreError."""
+    directory, whole = log.directory, shard == (1, 1)
+    held = (directory / "sweep.json").exists()
+    if held and whole and asked.resume is None:
+        raise StoreError(f"{directory}: holds a sweep; use --resume {directory}, or another --out")
+    if not held:
+        if whole:
+            require_empty(directory)
+        write_sweep(directory, sweep)  # or finds the one of another shard
+    require_same(directory, sweep)
+    log.mend()
+
+
+def submit(executor: Any, sweep: Sweep, directory: Path, shards: int) -> list[Any]:
+    """Starts a sweep as jobs of their own, a shard each.
+
+    Args:
+      executor: submitit's, or any with a `submit(function, *arguments)` that starts a process.
+      sweep: the grid.
+      directory: of the sweep, as all jobs see it.
+      shards: how many jobs.
+    Returns:
+      The jobs; the result of each is an exit code, as of the command line.
+    """
+    checks.integer("shards", shards)
+    write_sweep(directory, sweep)
+    require_same(directory, sweep)
+    own = ["--resume", str(directory), "--shard"]
+    return [executor.submit(main, [*own, f"{i}/{shards}"]) for i in range(1, shards + 1)]

@@ -1,0 +1,253 @@
+"""Deconfounded imitation on arrays: the paper's workflow (Section III-C), a function a step.
+
+    encoder = learn_latents(exploration, held_out, key)          1  a β-VAE on random-policy frames
+    mask    = mask_latents(encoder, demos)                       2  Algorithm 1 on s₁, o₁, a₁..a_H
+    policy  = clone_policy("Masked", demos, Evidence(encoder, mask.mask), key)    3  BC on the rest
+
+`deconfound` does all three. Nothing here knows where the frames came from: no simulator, no disk,
+no screen. What a training passes through on its way, `watch`, is where a caller may save it, go on
+with it, show it or stop it. Shapes: N episodes, T steps, n frames, H × W pixels, S state, A action,
+O latent; H also is the reaction horizon, where it counts steps.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxdeconf import checks
+from jaxdeconf import mask as algorithm
+from jaxdeconf.demos import Demos
+from jaxdeconf.learn import clone as bc
+from jaxdeconf.learn import disentangle as vae
+from jaxdeconf.learn.clone import CloneConfig, Demonstrations, Policy, View
+from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
+from jaxdeconf.learn.fit import Training, Watch, finish
+from jaxdeconf.mask import Mask, MaskConfig
+from jaxdeconf.methods import METHODS, Evidence, Method, available, masking, require
+
+
+class Deconfounded(NamedTuple):
+    """What came of the three steps."""
+
+    encoder: Encoder
+    mask: Mask
+    policies: dict[str, Policy]  # by method
+
+
+def deconfound(
+    demos: Demos,
+    exploration: Array,
+    key: Array,
+    methods: Sequence[str] | None = None,
+    known: Evidence = Evidence(),
+    disentangle: DisentangleConfig = vae.CPU,
+    mask: MaskConfig = MaskConfig(),
+    clone: CloneConfig = bc.CPU,
+    watch: Watch = finish,
+) -> Deconfounded:
+    """Finds the nuisance that a cloned policy would copy, masks it, and clones without it.
+
+    Args:
+      demos: the expert's, from initial states set at random.
+      exploration: uint8 [n, H, W, 3], frames under random actions; every tenth is held out to see
+        which latents carry anything.
+      key: every random choice follows from it, by name.
+      methods: which policies to clone, of `jaxdeconf.METHODS`; None: those that need a mask.
+      known: what a method may be told, where the nuisance is, say.
+      disentangle, mask, clone: the steps' configs; by default for a CPU, in minutes.
+      watch: what trainings pass through.
+    Raises:
+      ValueError: if shapes do not fit, a method is unknown or its needs are not met.
+    """
+    methods = masking() if methods is None else methods
+    _check(demos, known, key)
+    for name in methods:
+        require(name, available(demos, known) | {"encoder", "mask"})
+    _check_together(demos, exploration, disentangle, mask, clone)
+    exploration = jnp.asarray(exploration)
+    held_out = np.arange(len(exploration)) % 10 == 9
+    encoder = learn_latents(exploration[~held_out], exploration[held_out], key, disentangle, watch)
+    found = mask_latents(encoder, demos, mask)
+    evidence = known._replace(encoder=encoder, mask=found.mask)
+    policies = {name: clone_policy(name, demos, evidence, key, clone, watch) for name in methods}
+    return Deconfounded(encoder, found, policies)
+
+
+def learn_latents(
+    images: Array,
+    held_out: Array,
+    key: Array,
+    config: DisentangleConfig = vae.CPU,
+    watch: Watch = finish,
+) -> Encoder:
+    """Step 1: a β-VAE learns latents from images, uint8 [n, H, W, 3].
+
+    Args:
+      images: under random actions, so that the nuisance goes with nothing else in the frame.
+      held_out: uint8 [m, H, W, 3], others, on which it is judged which latents are active.
+      key: first weights, shuffles and noise.
+      config: objective, network and budget.
+      watch: what the training passes through.
+    Raises:
+      ValueError: if the images are not what is said, or the network cannot take their size.
+    """
+    images = checks.array("images", images, "[n, H, W, 3]", (None, None, None, 3), "uint8")
+    shape = (None, *images.shape[1:])
+    checks.array("held_out", held_out, f"[m, {str(shape[1:])[1:-1]}]", shape, "uint8")
+    images, held_out = jnp.asarray(images), jnp.asarray(held_out)  # once, not at every chunk
+    checks.key("key", key)
+    checks.instance("config", config, DisentangleConfig)
+    _check_latents(config, images.shape[1:3], len(images))
+    training = vae.training(config, lambda: images, len(images), lambda: held_out, key)
+    return training.trained(watch("disentangle", training))
+
+
+def mask_latents(encoder: Encoder, demos: Demos, config: MaskConfig = MaskConfig()) -> Mask:
+    """Step 2: Algorithm 1 on the first frames, where nothing but the initial state can confound.
+
+    Raises:
+      ValueError: if an episode is shorter than the reaction horizon, there are too few of them, or
+        their images have not the size of those that the encoder learnt.
+    """
+    checks.instance("encoder", encoder, Encoder)
+    checks.instance("demos", demos, Demos)
+    checks.instance("config", config, MaskConfig)
+    _check_mask(config, demos)
+    vae.check_images(encoder, demos.images.shape[2:4])
+    return algorithm.find_mask(
+        demos.initial_states,
+        first_latents(encoder, demos),
+        demos.actions[:, : config.reaction_horizon],
+        config.threshold,
+        config.alpha,
+        config.statistic,
+    )
+
+
+def first_latents(encoder: Encoder, demos: Demos) -> Array:
+    """[N, O] latents of the first frames; 0, the prior's mean, where they carry nothing."""
+    images = jnp.asarray(demos.images[:, 0])
+    mean, _ = vae.encode(encoder.network, encoder.variables, images)
+    return jnp.where(encoder.active, mean, 0.0)
+
+
+def clone_policy(
+    name: str,
+    demos: Demos,
+    evidence: Evidence,
+    key: Array,
+    config: CloneConfig = bc.CPU,
+    watch: Watch = finish,
+) -> Policy:
+    """Step 3: behaviour cloning on what a method shows of the frames.
+
+    Args:
+      name: of the method; see `jaxdeconf.METHODS`.
+      demos: what is cloned.
+      evidence: what there is beside, of which the method takes what it needs.
+      key: first weights and shuffles, the same for every method.
+      config: network and budget.
+      watch: what the training passes through.
+    Raises:
+      ValueError: if there is no such method, its needs are not met, or what there is does not fit.
+    """
+    _check(demos, evidence, key)
+    checks.instance("config", config, CloneConfig)
+    require(name, available(demos, evidence))
+    samples = imitated(demos.lengths, config)
+    training = cloning(METHODS[name], lambda: demos, samples, evidence, key, config)
+    return training.trained(watch(f"clone {name}", training))
+
+
+def imitated(lengths: np.ndarray, config: CloneConfig) -> int:
+    """How many steps are cloned of episodes of these lengths [N]."""
+    return int(np.minimum(lengths, config.trajectory_steps or lengths.max()).sum())
+
+
+def cloning(
+    method: Method,
+    demos: Callable[[], Demos],
+    samples: int,
+    evidence: Evidence,
+    key: Array,
+    config: CloneConfig,
+) -> Training:
+    """A method's training, not yet begun; `demos` makes what is cloned, `samples` steps of it."""
+    view, parameters = method.view(evidence)
+
+    def data() -> Demonstrations:
+        imitate = method.data(demos(), evidence)
+        cloned = shown(imitate, view, parameters, config.trajectory_steps)
+        checks.same_length("data", len(cloned.actions), samples, "steps")
+        return cloned
+
+    return bc.training(config, data, samples, view, parameters, key, method.objective)
+
+
+def shown(demos: Demos, view: View, parameters: Any, steps: int | None) -> Demonstrations:
+    """The first steps of each episode, as a view shows them; None is all."""
+    images = _through(view, parameters, jnp.asarray(demos.images[:, :steps]))
+    count, length = images.shape[:2]
+    step = jnp.broadcast_to(jnp.arange(length, dtype=jnp.int32), (count, length))
+    actions, previous = (
+        None if values is None else jnp.asarray(values[:, :steps])
+        for values in (demos.actions, demos.previous_actions)
+    )
+    padded = Demonstrations(images, step, actions, previous)
+    if demos.valid is None:
+        return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), padded)
+    valid = np.asarray(demos.valid)[:, :steps]
+    return jax.tree.map(lambda a: a[valid], padded)
+
+
+@partial(jax.jit, static_argnames="view")
+def _through(view: View, parameters: Any, images: Array) -> Array:
+    """A view of uint8 images [N, T, H, W, 3], an episode at a time."""
+    return jax.lax.map(partial(view, parameters), images)
+
+
+def _check(demos: Demos, evidence: Evidence, key: Array) -> None:
+    checks.instance("demos", demos, Demos)
+    checks.instance("evidence", evidence, Evidence)
+    checks.key("key", key)
+    if evidence.encoder is not None:
+        checks.instance("encoder", evidence.encoder, Encoder)
+        vae.check_images(evidence.encoder, demos.images.shape[2:4])
+    if evidence.mask is not None:
+        count = None if evidence.encoder is None else len(evidence.encoder.active)
+        checks.array("mask", evidence.mask, f"[{count or 'O'}]", (count,), "bool")
+
+
+def _check_together(
+    demos: Demos,
+    exploration: Array,
+    disentangle: DisentangleConfig,
+    mask: MaskConfig,
+    clone: CloneConfig,
+) -> None:
+    """What a later step would refuse, before minutes are spent on the first."""
+    height, width = size = demos.images.shape[2:4]
+    shape = None, *size, 3
+    checks.array("exploration", exploration, f"[n, {height}, {width}, 3]", shape, "uint8")
+    count = checks.integer("frames in exploration", len(exploration), least=10)
+    checks.instance("disentangle", disentangle, DisentangleConfig)
+    checks.instance("mask", mask, MaskConfig)
+    checks.instance("clone", clone, CloneConfig)
+    _check_latents(disentangle, size, count - count // 10)
+    _check_mask(mask, demos)
+    clone.total_steps(imitated(demos.lengths, clone))
+
+
+def _check_latents(config: DisentangleConfig, size: tuple[int, int], images: int) -> None:
+    vae.check_size(config, size)
+    config.total_steps(images)
+
+
+def _check_mask(config: MaskConfig, demos: Demos) -> None:
+    checks.integer("episodes in demos", len(demos.actions), least=5)
+    checks.integer("reaction_horizon", config.reaction_horizon, most=int(demos.lengths.min()))

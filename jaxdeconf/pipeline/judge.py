@@ -1,0 +1,213 @@
+"""What a run's numbers are: of latents, of the expert, of policies; and the pictures of its report.
+
+Shapes: O latents, A action, T time, n frames, V values.
+"""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxdeconf import evaluate, leakage
+from jaxdeconf.collect import Collected, Exploration, exploration
+from jaxdeconf.keys import named
+from jaxdeconf.learn import disentangle
+from jaxdeconf.learn.clone import Policy, View
+from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.methods import covered, identity, reconstructed
+from jaxdeconf.nets import vae
+from jaxdeconf.pipeline.results import (
+    SAME,
+    Judged,
+    JudgedExpert,
+    Losses,
+    Pictures,
+    Reconstruction,
+)
+from jaxdeconf.systems import System, Trajectories
+from jaxdeconf.systems.rollout import frames
+from jaxdeconf.vision import raster
+
+# Frames that train, and that test, the regression of leakage: its time is cubic in them.
+_JUDGE_FRAMES = 1500
+_TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
+_STRIP = 10  # frames
+
+
+class Trial(NamedTuple):
+    """What everything of a run is judged on, the same for all policies."""
+
+    system: System
+    key: Array
+    collected: Collected
+    held_out: Exploration  # under the random policy, where the nuisance is known
+
+
+def trial(system: System, key: Array, collected: Collected) -> Trial:
+    """A run's trial; draws the held-out frames."""
+    return Trial(system, key, collected, exploration(system, collected.held_out))
+
+
+class JudgedLatents(NamedTuple):
+    """The β-VAE's numbers, on held-out frames; see `Results`."""
+
+    nuisance_correlation: Array  # [O]
+    nuisance_share: Array  # [O]
+    reconstruction: Reconstruction
+
+
+def judge_latents(trial: Trial, encoder: Encoder) -> JudgedLatents:
+    """The β-VAE on held-out random-policy frames."""
+    images, actions = trial.held_out
+    mean, _ = disentangle.encode(encoder.network, encoder.variables, images)
+    some = slice(0, 2 * _JUDGE_FRAMES)
+    key = named(trial.key, "nuisance share")
+    return JudgedLatents(
+        jnp.abs(leakage.spearman(mean, actions)).max(axis=1),
+        leakage.explained(actions[some], mean[some], key),
+        _reconstruction(trial, encoder, images[:_JUDGE_FRAMES]),
+    )
+
+
+def _reconstruction(trial: Trial, encoder: Encoder, images: Array) -> Reconstruction:
+    """The error where the nuisance is, by whoever knows it, and elsewhere."""
+    parameters = {"variables": encoder.variables, "keep": encoder.active}
+    drawn = raster.dequantize(see(reconstructed(encoder.network), parameters, images))
+    truth = raster.dequantize(images)
+    squared = ((drawn - truth) ** 2).sum(axis=-1)
+    nuisance = jnp.zeros(squared.shape[1:], bool)
+    if hasattr(trial.system.nuisance, "cover"):
+        without = raster.dequantize(see(covered(trial.system.nuisance.cover), {}, images))
+        nuisance = (truth != without).any(axis=(0, 3))
+    return Reconstruction(
+        float(jnp.where(nuisance, squared, 0.0).sum(axis=(1, 2)).mean()),
+        float(jnp.where(nuisance, 0.0, squared).sum(axis=(1, 2)).mean()),
+    )
+
+
+def precision_recall(
+    mask: Array, encoder: Encoder, share: Array
+) -> tuple[float | None, float | None]:
+    """Of the masked active latents the share that is the nuisance's, and the reverse."""
+    active = np.asarray(encoder.active)
+    masked, nuisance = np.asarray(mask) & active, (np.asarray(share) >= SAME) & active
+    right = int((masked & nuisance).sum())
+    return (
+        right / int(masked.sum()) if masked.any() else None,
+        right / int(nuisance.sum()) if nuisance.any() else None,
+    )
+
+
+def judge_expert(system: System, collected: Collected) -> JudgedExpert:
+    """The expert on the evaluation's initial states, and its faults on all of its own."""
+    trajectories = collected.expert
+    penalty = jax.vmap(jax.vmap(system.state_penalty))(trajectories.states[:, 1:])
+    return JudgedExpert(
+        float(evaluate.rollout_loss(system, collected.evaluation).mean()),
+        float(evaluate.outcome(system, collected.evaluation).mean()),
+        float((penalty > 0).mean()),
+        float(collected.unconverged.sum() / trajectories.valid.size),
+    )
+
+
+def drive(trial: Trial, policy: Policy) -> Trajectories:
+    """Rollouts of a policy from the initial states that all policies of a run share."""
+    states, key = trial.collected.evaluation.states[:, 0], named(trial.key, "evaluation")
+    return evaluate.drive(trial.system, policy, states, key)
+
+
+def rollout_loss(trial: Trial, driven: Trajectories) -> list[float]:
+    """Mean and standard deviation over rollouts."""
+    loss = evaluate.rollout_loss(trial.system, driven)
+    return [float(loss.mean()), float(loss.std())]
+
+
+def judge_policy(
+    trial: Trial, policy: Policy, train_loss: float, curve: list[list[float]] | None = None
+) -> tuple[Judged, Trajectories]:
+    """A trained policy's numbers, and its last rollouts.
+
+    Args:
+      trial: what it is judged on.
+      policy: the policy.
+      train_loss: at its end.
+      curve: [epoch, mean, standard deviation] of the rollout loss while it was trained.
+    """
+    driven = drive(trial, policy)
+    copied = evaluate.copycat(
+        trial.system, policy, trial.collected.evaluation, named(trial.key, "copycat")
+    )
+    judged = Judged(
+        rollout_loss=Losses(*rollout_loss(trial, driven), curve or []),
+        outcome=float(evaluate.outcome(trial.system, driven).mean()),
+        copycat=float(copied),
+        leakage=float(leaked(trial, policy.view, policy.parameters)),
+        train_loss=train_loss,
+    )
+    return judged, driven
+
+
+def leaked(trial: Trial, view: View, parameters: Any) -> Array:
+    """[] R² of the previous action regressed from what a view shows of held-out frames.
+
+    There the action is independent of everything in the frame but the nuisance: 0 is no leak.
+    """
+    images, signal = trial.held_out
+    seen = see(view, parameters, images[: 2 * _JUDGE_FRAMES])
+    half = len(seen) // 2
+    return leakage.r_squared(
+        seen[:half],
+        signal[:half],
+        seen[half:],
+        signal[half : len(seen)],
+        named(trial.key, "leakage"),
+    )
+
+
+def pictures(
+    trial: Trial,
+    encoder: Encoder,
+    policies: Mapping[str, Policy],
+    driven: Mapping[str, Trajectories],
+) -> Pictures:
+    """The frames that the report shows."""
+    system, collected = trial.system, trial.collected
+    stride = max(1, system.steps // 2 // _STRIP)
+    example = jax.tree.map(lambda a: a[0, : stride * _STRIP : stride], collected.expert)
+    images = frames(system, example)
+    changed = {name: policy for name, policy in policies.items() if policy.view is not identity}
+    strips = {name: see(one.view, one.parameters, images) for name, one in changed.items()}
+    # The start that is of middling difficulty to the expert.
+    order = jnp.argsort(evaluate.rollout_loss(system, collected.evaluation))
+    start = order[len(order) // 2]
+    shown = {
+        name: jax.tree.map(lambda a: a[start], rolled)
+        for name, rolled in {"Expert": collected.evaluation, **driven}.items()
+    }
+    return Pictures(
+        strips={name: np.asarray(strip) for name, strip in {"Frame": images, **strips}.items()},
+        traversals=_traversals(encoder, system.size),
+        traversal_values=_TRAVERSAL,
+        rollouts={name: np.asarray(frames(system, one)) for name, one in shown.items()},
+        alive={name: np.asarray(one.valid) for name, one in shown.items()},
+        dt=system.dt,
+    )
+
+
+@partial(jax.jit, static_argnames="view")
+def see(view: View, parameters: Any, images: Array) -> Array:
+    """What a view makes of uint8 images [n, H, W, 3], a batch at a time."""
+    return jax.lax.map(lambda image: view(parameters, image[None])[0], images, batch_size=256)
+
+
+def _traversals(encoder: Encoder, size: tuple[int, int]) -> np.ndarray:
+    """uint8 [O, V, H, W, 3]: each latent moved alone, the others at their prior mean."""
+    count, network = encoder.network.latents, encoder.network
+    latents = jnp.eye(count)[:, None] * jnp.asarray(_TRAVERSAL, jnp.float32)[None, :, None]
+    flat = latents.reshape(-1, count)
+    decoded = vae.decode(network, encoder.variables, flat, size, train=False)[0]
+    return np.asarray(raster.quantize(decoded)).reshape(count, len(_TRAVERSAL), *size, 3)

@@ -1,0 +1,50 @@
+"""What this machine is, with a fallback where its operating system has no answer."""
+
+import os
+import platform
+import sys
+from pathlib import Path
+
+import jax
+
+from jaxdeconf.version import __version__
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def free_memory() -> float:
+    """Bytes that nobody uses; 4 GB where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):  # no such name on macOS, no sysconf on Windows
+        return 4e9
+
+
+def peak_memory_mb() -> float:
+    """The most memory that this process has held at a time, MB (2^20 bytes); NaN if unknown."""
+    status = Path("/proc/self/status")
+    if status.exists():  # Linux, whose ru_maxrss may be that of the process that started this one
+        lines = status.read_text().splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:"))
+    try:
+        import resource
+    except ImportError:  # Windows
+        return float("nan")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 1024  # bytes there, else KiB
+
+
+def versions() -> dict[str, str]:
+    """What numbers depend on beside the config."""
+    return {
+        "jaxdeconf": __version__,
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "device": jax.devices()[0].device_kind,
+        "platform": f"{sys.platform} {platform.machine()}",
+    }

@@ -1,0 +1,1 @@
+"""Many runs: a grid of configs and seeds; what points share is done once, models train together."""

@@ -1,0 +1,208 @@
+"""A sweep: the stages of a run over a grid of configs, what points share done once, in batches.
+
+Trajectories are shared by points of one seed, β-VAEs by points of one β-VAE config, policies by
+points whose method sees the same: a sweep over thresholds trains few. Models of one shape train
+together (`batch`). A point's row is on disk as soon as its last policy has driven.
+
+With several processes (`jax.distributed`) all run this same program, and the first alone writes:
+rows, by which a sweep goes on, but not what points share, which each of them makes again. They need
+the same directory and the same kind of machine.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental import multihost_utils
+
+from jaxdeconf import systems
+from jaxdeconf.deconfound import cloning, imitated
+from jaxdeconf.methods import METHODS, Evidence, given
+from jaxdeconf.pipeline import judge
+from jaxdeconf.pipeline.checkpoint import fingerprint
+from jaxdeconf.pipeline.interruption import Interruption
+from jaxdeconf.pipeline.progress import Reporter
+from jaxdeconf.pipeline.results import Judged, Losses, Row
+from jaxdeconf.pipeline.run import demonstrations_for, evidence_for
+from jaxdeconf.pipeline.stages import finite
+from jaxdeconf.sweep.batch import Job, Trained
+from jaxdeconf.sweep.grid import Point
+from jaxdeconf.sweep.log import Log, Sweep
+from jaxdeconf.sweep.shared import (
+    PointMask,
+    Work,
+    data_name,
+    data_of,
+    digest,
+    encoder_name,
+    find_masks,
+    train,
+    train_encoders,
+)
+from jaxdeconf.systems import System
+
+
+class Name(NamedTuple):
+    """What a policy depends on: points of the same name share it."""
+
+    method: str
+    data: str
+    sees: str  # fingerprint of what it is made from beside the trajectories
+    clone: str
+
+
+def sweep(
+    sweep: Sweep,
+    log: Log,
+    reporter: Reporter,
+    interruption: Interruption,
+    budget: float,
+    shard: tuple[int, int] = (1, 1),
+    system: System | None = None,
+) -> list[Row]:
+    """Does, or finishes, a sweep or one shard of it.
+
+    Args:
+      sweep: the grid.
+      log: where rows go; those that are there are not done again.
+      reporter: the screen.
+      interruption: asks it to stop.
+      budget: bytes that a batch of models may take.
+      shard: (i, n): the i-th of n parts of the points, which others do elsewhere.
+      system: what moves, yours say; None: the one that the base names.
+    Returns:
+      The rows of all points that are done.
+    Raises:
+      StoreError, WriteError, Interrupted: as a run does.
+    """
+    system = systems.get(sweep.base.system) if system is None else system
+    work = Work(sweep, system, log, reporter, interruption, budget)
+    points = part(sweep.points, shard)
+    done = {row.point: row for row in log.rows()}
+    train_encoders(work, [point.config for point in points if point.index not in done])
+    for name, rows in _finish(work, points, done):
+        if jax.process_index() == 0:
+            log.append(rows)
+            reporter.console.print(f"{name}: {len(rows)} points done", highlight=False)
+    return log.rows()
+
+
+def part(points: Sequence[Point], shard: tuple[int, int]) -> list[Point]:
+    """The points of a shard: neighbours, which share more than points far apart."""
+    i, n = shard
+    return list(points[(i - 1) * len(points) // n : i * len(points) // n])
+
+
+def _finish(
+    work: Work, points: Sequence[Point], done: dict[int, Row]
+) -> Iterator[tuple[str, list[Row]]]:
+    """Clones what the points need; yields rows as they become complete."""
+    masks = find_masks(work, points)
+    jobs, needs = _needed(work, points, masks)
+    judged: dict[Name, Judged] = {}
+    for point in points:  # what an earlier process found
+        for name in needs[point.index]:
+            if point.index in done:
+                judged[name] = done[point.index].policies[name.method]
+    waiting = [point for point in points if point.index not in done]
+
+    def complete() -> list[Row]:
+        rows = []
+        for point in [p for p in waiting if all(name in judged for name in needs[p.index])]:
+            waiting.remove(point)
+            own = {name.method: judged[name] for name in needs[point.index]}
+            rows.append(_row(work, point, masks.get(point.index), own))
+        return rows
+
+    if rows := complete():
+        yield "masks", rows
+    wanted = {name for point in waiting for name in needs[point.index]} - judged.keys()
+    groups: dict[Any, list[Name]] = defaultdict(list)
+    for name in [name for name in jobs if name in wanted]:
+        groups[jobs[name][1].shape].append(name)
+    for names in groups.values():
+        for batch in train(work, "policies", [jobs[name][1] for name in names]):
+            trained = [(*jobs[names[one.job]], one) for one in batch]
+            found = [names[one.job] for one in batch]
+            judged |= zip(found, _judge(work, trained), strict=True)
+            if rows := complete():
+                yield "policies", rows
+
+
+def _needed(
+    work: Work, points: Sequence[Point], masks: dict[int, PointMask]
+) -> tuple[dict[Name, tuple[Point, Job]], dict[int, list[Name]]]:
+    """The policies to clone, name -> whose and how; and the names of each point's own."""
+    jobs, needs = {}, {}
+    for point in points:
+        methods = point.config.methods if point.index in masks else ()
+        own = [_job(work, point, method, masks[point.index].mask) for method in methods]
+        needs[point.index] = [name for name, _ in own]
+        for name, job in own:
+            jobs.setdefault(name, (point, job))
+    return jobs, needs
+
+
+def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, Job]:
+    """What a point's method depends on, and its training."""
+    config, method = point.config, METHODS[name]
+    run, trial = data_of(work, config)
+    encoder = work.encoders[encoder_name(config)]
+    assert encoder is not None  # it has a mask
+    evidence = evidence_for(config, run.system, encoder.encoder, jnp.asarray(found))
+    lengths = np.asarray(trial.collected.expert.valid).sum(axis=1)
+    training = cloning(
+        method,
+        lambda: demonstrations_for(config, run.system, trial.collected),
+        imitated(lengths, config.clone),
+        evidence,
+        run.key,
+        config.clone,
+    )
+    told = Evidence() if method.data is given else Evidence(evidence.encoder, evidence.mask)
+    sees = fingerprint((training.made_from, told))
+    # Without what only the training depends on: the same frames are held once.
+    frames = name, data_name(config), sees, config.clone.trajectory_steps
+    return Name(name, data_name(config), sees, digest(config.clone)), Job(training, frames)
+
+
+def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[Judged]:
+    """What trained policies come to; with several processes, each lets its share drive."""
+    count = jax.process_count()
+    mine = np.full((len(policies), 5), np.nan)
+    for i, (point, job, trained) in enumerate(policies):
+        if i % count == jax.process_index() and finite(trained.state):
+            policy = job.training.trained(jax.tree.map(jnp.asarray, trained.state))
+            found, _ = judge.judge_policy(data_of(work, point.config).trial, policy, trained.loss)
+            mine[i] = *found.rollout_loss[:2], found.outcome, found.copycat, found.leakage
+    whole = multihost_utils.process_allgather(mine).reshape(-1, *mine.shape)
+    numbers = [map(float, whole[i % count, i]) for i in range(len(policies))]
+    return [
+        Judged(Losses(mean, std), *rest, float(trained.loss))
+        for (mean, std, *rest), (_, _, trained) in zip(numbers, policies, strict=True)
+    ]
+
+
+def _row(work: Work, point: Point, found: PointMask | None, policies: dict[str, Judged]) -> Row:
+    """A point's line. Numbers that are not finite are said to have diverged."""
+    if found is None:
+        return Row(point.index, point.values, ["disentangle"])
+    encoder, trial = work.encoders[encoder_name(point.config)], data_of(work, point.config).trial
+    assert encoder is not None  # it has a mask
+    precision, recall = judge.precision_recall(found.mask, encoder.encoder, encoder.share)
+    return Row(
+        point=point.index,
+        values=point.values,
+        diverged=[m for m, one in policies.items() if not np.isfinite(one.rollout_loss.mean)],
+        policies=policies,
+        threshold=found.threshold,
+        mask=found.mask & np.asarray(encoder.encoder.active),
+        active=np.asarray(encoder.encoder.active),
+        nuisance_share=encoder.share,
+        precision=precision,
+        recall=recall,
+        expert=judge.judge_expert(trial.system, trial.collected),
+    )

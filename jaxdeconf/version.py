@@ -1,0 +1,3 @@
+"""The version, which a run directory is of."""
+
+__version__ = "0.2.0"

@@ -1,0 +1,86 @@
+"""One uninterrupted run of every stage, which several tests look at, and its compiled programs."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+# The smoke preset, smaller yet: that stages fit together, in less time. Small chunks, so that there
+# are edges to stop at.
+SMOKE = (
+    *("--preset", "smoke", "--collect.size", "32", "32"),
+    *("--collect.random-trajectories", "60", "--collect.expert-trajectories", "48"),
+    *("--collect.held-out-trajectories", "60"),
+    *("--expert.horizon", "15", "--expert.initial-iterations", "20"),
+    *("--disentangle.network.channels", "4", "4", "--disentangle.chunk", "4"),
+    *("--clone.network.stages", "1", "--clone.chunk", "4"),
+)
+
+
+# XLA starts a thread a core, or a device if those are more (or as many as NPROC says), and splits
+# long sums by their number: four threads, so that four devices change nothing on two cores.
+THREADS = "4"
+
+
+def pytest_collection_modifyitems(items):
+    """Whole programs first, and those that share a run in one process; else a file a process."""
+    for item in items:
+        programs = "experiment" in getattr(item, "fixturenames", ())
+        group = f"programs of {item.path.parent.name}" if programs else str(item.path)
+        item.add_marker(pytest.mark.xdist_group(group))
+        item.user_properties.append(("programs", programs))
+    items.sort(key=lambda item: not dict(item.user_properties)["programs"])
+
+
+class Experiments:
+    """Runs experiments as a user does, with one cache of compiled programs."""
+
+    def __init__(self, cache: Path):
+        self.environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "NPROC": THREADS}
+
+    def __call__(self, *arguments, start=("-m", "experiments.cartpole"), **environment):
+        return subprocess.run(
+            [sys.executable, "-W", "error", *start, *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            env={**self.environment, **environment},
+        )
+
+
+class Done(NamedTuple):
+    directory: Path
+    process: subprocess.CompletedProcess
+
+
+@pytest.fixture(scope="session")
+def experiment(tmp_path_factory):
+    return Experiments(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="session")
+def done(tmp_path_factory, experiment):
+    directory = tmp_path_factory.mktemp("runs") / "smoke"
+    process = experiment(*SMOKE, "--out", directory)
+    assert process.returncode == 0, process.stderr
+    return Done(directory, process)
+
+
+@pytest.fixture(scope="session")
+def smoke():
+    """The arguments of the run that is `done`."""
+    return SMOKE
+
+
+@pytest.fixture
+def numbers():
+    """What a run's results.json holds, but for times and memory."""
+
+    def read(directory):
+        results = json.loads((directory / "results.json").read_text())
+        return {k: v for k, v in results.items() if k not in ("seconds", "peak_memory_mb")}
+
+    return read

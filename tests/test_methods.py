@@ -1,0 +1,132 @@
+"""Methods: what each one shows its policy, and what it needs for that."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdeconf import methods, systems
+from jaxdeconf.demos import Demos
+from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.methods import METHODS, Evidence
+from jaxdeconf.nets import vae
+from jaxdeconf.nets.vae import VAEConfig
+
+SYSTEM = systems.get("cartpole")
+CONFIG = VAEConfig(channels=(2,), latents=3, norm="none")
+ACTIVE, MASK = jnp.array([True, True, False]), jnp.array([False, True, False])
+DEMOS = Demos(np.zeros((5, 2, 16, 24, 3), np.uint8), np.zeros((5, 2, 1)), np.zeros((5, 2)))
+
+
+@pytest.fixture(scope="module")
+def images():
+    """Of grains: the cover and the β-VAE take whatever there is."""
+    grains = np.random.default_rng(0).integers(0, 255, (5, 64, 64, 3), np.uint8)
+    return jnp.asarray(grains)
+
+
+@pytest.fixture(scope="module")
+def variables():
+    return vae.init(CONFIG, jax.random.key(1), (64, 64))
+
+
+@pytest.fixture(scope="module")
+def evidence(variables):
+    return Evidence(
+        Encoder(CONFIG, variables, jnp.ones(3), ACTIVE),
+        MASK,
+        SYSTEM.nuisance.cover,
+        lambda states: states[:, :1],
+    )
+
+
+def test_identity(images):
+    np.testing.assert_array_equal(methods.identity({}, images), images)
+
+
+def test_the_cover_hides_the_nuisance_and_nothing_else(images):
+    seen = np.asarray(jax.jit(methods.covered(SYSTEM.nuisance.cover))({}, images))
+    assert (seen[:, :15, :15] == 255).all()
+    changed = (seen != np.asarray(images)).any(axis=(0, 3))
+    assert not changed[16:].any()
+    assert not changed[:, 16:].any()
+
+
+def reconstruction(variables, images, keep):
+    """By the networks: the latents that are not kept are 0."""
+    return _reconstruction(variables, images, tuple(keep))
+
+
+@partial(jax.jit, static_argnums=2)
+def _reconstruction(variables, images, keep):
+    mean, _, _ = vae.encode(CONFIG, variables, images.astype(jnp.float32) / 255, train=False)
+    latents = jnp.stack([mean[:, i] if kept else 0 * mean[:, i] for i, kept in enumerate(keep)], 1)
+    return vae.decode(CONFIG, variables, latents, (64, 64), train=False)[0]
+
+
+def test_a_masked_reconstruction_does_not_depend_on_a_masked_latent(images, variables):
+    view = jax.jit(methods.reconstructed(CONFIG))
+    seen = view({"variables": variables, "keep": jnp.array([True, False, True])}, images)
+    expected = reconstruction(variables, images, [True, False, True])
+    assert seen.dtype == jnp.uint8
+    np.testing.assert_allclose(seen.astype(float), expected * 255, atol=0.51)
+    nothing = view({"variables": variables, "keep": jnp.zeros(3, bool)}, images)
+    assert (nothing == nothing[0]).all()
+
+
+def test_the_same_view_is_the_same_static_argument():
+    assert methods.reconstructed(CONFIG) is methods.reconstructed(VAEConfig((2,), 3, norm="none"))
+    assert methods.covered(SYSTEM.nuisance.cover) is methods.covered(SYSTEM.nuisance.cover)
+
+
+@pytest.mark.parametrize(
+    ("name", "keep"), [("Masked", [True, False, False]), ("Reconstructed", [True, True, False])]
+)
+def test_reconstructions_keep_the_active_latents_but_the_masked(name, keep, evidence, images):
+    view, parameters = METHODS[name].view(evidence)
+    np.testing.assert_array_equal(parameters["keep"], keep)
+    expected = reconstruction(evidence.encoder.variables, images, keep)
+    seen = jax.jit(view)(parameters, images)
+    np.testing.assert_allclose(seen.astype(float), expected * 255, atol=0.51)
+
+
+def test_the_papers_other_methods_show_the_frames_and_the_covered_frames(evidence, images):
+    view, parameters = METHODS["BcVanilla"].view(Evidence())
+    np.testing.assert_array_equal(view(parameters, images), images)
+    view, parameters = METHODS["BcManual"].view(evidence)
+    expected = methods.covered(SYSTEM.nuisance.cover)({}, images)
+    np.testing.assert_array_equal(view(parameters, images), expected)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_makes_its_view_of_what_it_needs_alone(name, evidence):
+    method = METHODS[name]
+    needed = {need: getattr(evidence, need) for need in method.needs if need != "previous_actions"}
+    view, _ = method.view(Evidence(**needed))
+    assert callable(view)
+    assert method.note.endswith(".")
+    assert method.kind in ("fair", "oracle", "control")
+
+
+def test_what_is_available_is_what_is_there(evidence):
+    assert methods.available(DEMOS, Evidence()) == set()
+    assert methods.available(DEMOS, evidence) == {"encoder", "mask", "cover", "expert"}
+    told = Demos(DEMOS.images, DEMOS.actions, DEMOS.initial_states, None, DEMOS.actions)
+    assert methods.available(told, Evidence(mask=MASK)) == {"mask", "previous_actions"}
+
+
+def test_a_method_is_refused_for_the_first_need_that_is_not_met():
+    methods.require("BcVanilla", ())
+    methods.require("Masked", {"mask", "encoder", "expert"})
+    with pytest.raises(ValueError, match=r"^methods: expected .* needs no mask, got 'Masked'$"):
+        methods.require("Masked", {"encoder"})
+    with pytest.raises(ValueError, match=r"^methods: expected one of BcVanilla, .* got 'Bc'$"):
+        methods.require("Bc", {"encoder"})
+
+
+def test_those_that_need_a_mask_are_read_off_the_table(monkeypatch):
+    assert methods.masking() == ("Masked",)
+    monkeypatch.setitem(METHODS, "Mine", METHODS["BcVanilla"]._replace(needs=("expert", "mask")))
+    assert methods.masking() == ("Masked", "Mine")
