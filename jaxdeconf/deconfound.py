@@ -97,12 +97,13 @@ def learn_latents(
       ValueError: if the images are not what is said, or the network cannot take their size.
     """
     images = checks.array("images", images, "[n, H, W, 3]", (None, None, None, 3), "uint8")
-    shape = (None, *images.shape[1:])
-    checks.array("held_out", held_out, f"[m, {str(shape[1:])[1:-1]}]", shape, "uint8")
+    _, height, width, _ = images.shape
+    shape = None, height, width, 3
+    checks.array("held_out", held_out, f"[m, {height}, {width}, 3]", shape, "uint8")
     images, held_out = jnp.asarray(images), jnp.asarray(held_out)  # once, not at every chunk
     checks.key("key", key)
     checks.instance("config", config, DisentangleConfig)
-    _check_latents(config, images.shape[1:3], len(images))
+    _check_latents(config, (height, width), len(images))
     training = vae.training(config, lambda: images, len(images), lambda: held_out, key)
     return training.trained(watch("disentangle", training))
 
@@ -194,10 +195,8 @@ def shown(demos: Demos, view: View, parameters: Any, steps: int | None) -> Demon
     images = _through(view, parameters, jnp.asarray(demos.images[:, :steps]))
     count, length = images.shape[:2]
     step = jnp.broadcast_to(jnp.arange(length, dtype=jnp.int32), (count, length))
-    actions, previous = (
-        None if values is None else jnp.asarray(values[:, :steps])
-        for values in (demos.actions, demos.previous_actions)
-    )
+    actions, previous = jnp.asarray(demos.actions[:, :steps]), demos.previous_actions
+    previous = None if previous is None else jnp.asarray(previous[:, :steps])
     padded = Demonstrations(images, step, actions, previous)
     if demos.valid is None:
         return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), padded)

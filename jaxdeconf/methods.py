@@ -104,8 +104,9 @@ def reconstructed(config: vae.VAEConfig) -> View:
         variables = parameters["variables"]
         mean, _, _ = vae.encode(config, variables, raster.dequantize(images), train=False)
         latents = jnp.where(parameters["keep"], mean, 0.0)
-        size = images.shape[1:3]
-        return raster.quantize(vae.decode(config, variables, latents, size, train=False)[0])
+        _, height, width, _ = images.shape
+        drawn, _ = vae.decode(config, variables, latents, (height, width), train=False)
+        return raster.quantize(drawn)
 
     return view
 

@@ -26,14 +26,25 @@ SMOKE = (
 THREADS = "4"
 
 
+# Files whose tests look at the run that is `done`, or start with its programs.
+SHARE_A_RUN = {"test_smoke.py", "test_interruption.py", "test_determinism.py", "test_damage.py"}
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """A file a process; those that share a run in one."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Files(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return "shared" if Path(file).name in SHARE_A_RUN else file
+
+    return Files(config, log)
+
+
 def pytest_collection_modifyitems(items):
-    """Whole programs first, and those that share a run in one process; else a file a process."""
-    for item in items:
-        programs = "experiment" in getattr(item, "fixturenames", ())
-        group = f"programs of {item.path.parent.name}" if programs else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
-        item.user_properties.append(("programs", programs))
-    items.sort(key=lambda item: not dict(item.user_properties)["programs"])
+    """Whole programs first: two processes then end at about the same time."""
+    items.sort(key=lambda item: "experiment" not in getattr(item, "fixturenames", ()))
 
 
 class Experiments:

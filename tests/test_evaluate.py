@@ -80,8 +80,9 @@ def test_a_policy_sees_the_last_frames_in_order_and_blank_ones_before(
     assert np.asarray(found.actions).std() > 1.0
 
 
-def test_the_initial_states_and_the_nuisance_there_are_shared(policy, initial_states, driven):
-    other = replace(policy, view=covered(SYSTEM.nuisance.cover))
+def test_the_initial_states_and_the_nuisance_there_are_shared(initial_states, driven, monkeypatch):
+    monkeypatch.setattr(resnet, "apply", lambda *a, train: (jnp.ones((1, 1)), {}))
+    other = Policy(covered(SYSTEM.nuisance.cover), FUNCTION, 2, {}, {})
     second = evaluate.drive(SYSTEM, other, initial_states, jax.random.key(2))
     np.testing.assert_array_equal(driven.states[:, 0], initial_states)
     np.testing.assert_array_equal(driven.states[:, 0], second.states[:, 0])
@@ -146,11 +147,11 @@ def test_copycat_compares_all_successive_frames_with_the_same_under_another_nuis
 
 
 def test_copycat_is_zero_for_a_covered_nuisance_and_that_of_chance_for_a_pure_copy(
-    policy, driven, monkeypatch
+    driven, monkeypatch
 ):
-    blind = replace(policy, view=covered(SYSTEM.nuisance.cover))
-    assert evaluate.copycat(SYSTEM, blind, driven, jax.random.key(3)) == 0.0
     monkeypatch.setattr(resnet, "apply", lambda *a, train: (redness(a[2])[:, None], {}))
+    blind = Policy(covered(SYSTEM.nuisance.cover), FUNCTION, 2, {}, {})
+    assert evaluate.copycat(SYSTEM, blind, driven, jax.random.key(3)) == 0.0
     copy = Policy(identity, FUNCTION, 2, {}, {})
     score = evaluate.copycat(SYSTEM, copy, driven, jax.random.key(3))
     shown = np.asarray(driven.previous_actions[:, 1:]) / 25.0

@@ -39,7 +39,7 @@ def test_is_algorithm_1(seed, gamma):
 
 
 def test_masks_the_nuisances_and_shows_why():
-    states, observations, actions = trajectories(0, n=2000)
+    states, observations, actions = trajectories(0)
     found = find_mask(states, observations, actions, alpha=0.01)
     d = hoeffding_d(states, np.concatenate([observations, actions[..., 0]], axis=1))
     np.testing.assert_array_equal(found.mask, [False, False, True, True])
@@ -48,7 +48,7 @@ def test_masks_the_nuisances_and_shows_why():
     assert found.state_action.shape == found.p_state_action.shape == (3, 2, 1)
     np.testing.assert_array_equal(found.state_observation, d[:, :4])
     np.testing.assert_array_equal(found.state_action[..., 0], d[:, 4:])
-    np.testing.assert_array_equal(found.p_state_observation, p_value(found.state_observation, 2000))
+    np.testing.assert_array_equal(found.p_state_observation, p_value(found.state_observation, 120))
 
 
 def test_alpha_only_ever_raises_the_threshold():

@@ -152,7 +152,8 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
       key: initial weights, and the frames that fit the linear start.
     """
     weights_key, choice_key, start_key = jax.random.split(key, 3)
-    variables = vae.init(config.network, weights_key, images.shape[1:3])
+    _, height, width, _ = images.shape
+    variables = vae.init(config.network, weights_key, (height, width))
     if config.network.linear_path:
         count = min(_START_FRAMES, len(images))
         chosen = jax.random.choice(choice_key, len(images), (count,), replace=False)
@@ -175,7 +176,8 @@ def objective(config: DisentangleConfig) -> Loss:
     """The β-VAE loss of a config, for `fit`; data are images, uint8 [n, H, W, 3]."""
 
     def loss(variables: Variables, images: Array, indices: Array, key: Array, step: Array):
-        batch, size = raster.dequantize(images[indices]), images.shape[1:3]
+        _, height, width, _ = images.shape
+        batch, size = raster.dequantize(images[indices]), (height, width)
         mean, log_variance, stats = vae.encode(config.network, variables, batch, train=True)
         noise_key, patch_key = (key, None) if config.patches is None else jax.random.split(key)
         latents = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(noise_key, mean.shape)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxdeconf import evaluate, leakage
 from jaxdeconf.collect import Collected, Exploration, exploration
@@ -90,7 +91,7 @@ def _reconstruction(trial: Trial, encoder: Encoder, images: Array) -> Reconstruc
 
 
 def precision_recall(
-    mask: Array, encoder: Encoder, share: Array
+    mask: ArrayLike, encoder: Encoder, share: ArrayLike
 ) -> tuple[float | None, float | None]:
     """Of the masked active latents the share that is the nuisance's, and the reverse."""
     active = np.asarray(encoder.active)
@@ -120,10 +121,10 @@ def drive(trial: Trial, policy: Policy) -> Trajectories:
     return evaluate.drive(trial.system, policy, states, key)
 
 
-def rollout_loss(trial: Trial, driven: Trajectories) -> list[float]:
-    """Mean and standard deviation over rollouts."""
+def rollout_loss(trial: Trial, driven: Trajectories) -> Losses:
+    """Over the rollouts of a policy."""
     loss = evaluate.rollout_loss(trial.system, driven)
-    return [float(loss.mean()), float(loss.std())]
+    return Losses(float(loss.mean()), float(loss.std()))
 
 
 def judge_policy(
@@ -142,7 +143,7 @@ def judge_policy(
         trial.system, policy, trial.collected.evaluation, named(trial.key, "copycat")
     )
     judged = Judged(
-        rollout_loss=Losses(*rollout_loss(trial, driven), curve or []),
+        rollout_loss=rollout_loss(trial, driven)._replace(per_epoch=curve or []),
         outcome=float(evaluate.outcome(trial.system, driven).mean()),
         copycat=float(copied),
         leakage=float(leaked(trial, policy.view, policy.parameters)),

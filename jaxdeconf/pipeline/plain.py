@@ -10,7 +10,7 @@ import os
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 from zipfile import BadZipFile
 
 import jax
@@ -26,8 +26,8 @@ def to_plain(value: Any) -> Any:
     """Dataclasses, NamedTuples, arrays and tuples as dicts, lists and numbers."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
-    if hasattr(value, "_asdict"):
-        return to_plain(value._asdict())
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return to_plain(value._asdict())  # type: ignore
     if isinstance(value, dict):
         return {str(k): to_plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -53,8 +53,8 @@ def from_plain(kind: Any, plain: Any) -> Any:
     if hasattr(kind, "__metadata__"):  # Annotated
         return from_plain(get_args(kind)[0], plain)
     if is_dataclass(kind) or hasattr(kind, "_fields"):
-        hints = get_type_hints(kind, include_extras=True)
-        return kind(**{name: from_plain(hints[name], value) for name, value in plain.items()})
+        hints, make = get_type_hints(kind, include_extras=True), cast(Any, kind)
+        return make(**{name: from_plain(hints[name], value) for name, value in plain.items()})
     if kind is float:
         return math.nan if plain is None else plain
     if kind is np.ndarray:

@@ -129,7 +129,7 @@ def save(directory: Path, results: Results, pictures: Pictures) -> None:
     """Writes results.json and pictures.npz, each in one step; the results last: they end a run."""
     partial = directory / (PICTURES + PARTIAL)
     with partial.open("wb") as file:
-        np.savez_compressed(file, **dict(_flat(pictures)))
+        np.savez_compressed(file, **dict(_flat(pictures)))  # type: ignore
     partial.replace(directory / PICTURES)
     write_json(directory / FILE, results)
 
@@ -157,7 +157,8 @@ def load(directory: Path) -> tuple[Results, Pictures]:
                 found[field][key] = arrays[name]
             else:
                 found[field] = arrays[name]
-    return results, Pictures(**found | {"dt": float(found["dt"])})
+    found["dt"] = float(found["dt"])
+    return results, Pictures(**found)
 
 
 def _flat(pictures: Pictures):

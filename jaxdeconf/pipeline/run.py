@@ -67,7 +67,7 @@ def run(
     demos = demonstrations_for(config, system, collected)
 
     def drive(policy) -> list[float]:
-        return judge.rollout_loss(trial, judge.drive(trial, policy))
+        return [*judge.rollout_loss(trial, judge.drive(trial, policy))[:2]]
 
     watch = partial(this.watch, data=collected, visits=visits(config, demos), visit=drive)
     policies = {

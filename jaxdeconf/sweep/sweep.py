@@ -179,11 +179,11 @@ def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[J
             found, _ = judge.judge_policy(data_of(work, point.config).trial, policy, trained.loss)
             mine[i] = *found.rollout_loss[:2], found.outcome, found.copycat, found.leakage
     whole = multihost_utils.process_allgather(mine).reshape(-1, *mine.shape)
-    numbers = [map(float, whole[i % count, i]) for i in range(len(policies))]
-    return [
-        Judged(Losses(mean, std), *rest, float(trained.loss))
-        for (mean, std, *rest), (_, _, trained) in zip(numbers, policies, strict=True)
-    ]
+    judged = []
+    for i, (_, _, trained) in enumerate(policies):
+        mean, std, outcome, copied, leaked = map(float, whole[i % count, i])
+        judged.append(Judged(Losses(mean, std), outcome, copied, leaked, float(trained.loss)))
+    return judged
 
 
 def _row(work: Work, point: Point, found: PointMask | None, policies: dict[str, Judged]) -> Row:
