@@ -19,6 +19,8 @@ SMOKE = (
     *("--disentangle.network.channels", "4", "4", "--disentangle.chunk", "4"),
     *("--clone.network.stages", "1", "--clone.chunk", "4"),
 )
+# Reconstructed takes Masked's way.
+METHODS = ("--methods", "BcVanilla", "BcManual", "Masked")
 
 
 # XLA starts a thread a core, or a device if those are more (or as many as NPROC says), and splits
@@ -75,7 +77,7 @@ def experiment(tmp_path_factory):
 @pytest.fixture(scope="session")
 def done(tmp_path_factory, experiment):
     directory = tmp_path_factory.mktemp("runs") / "smoke"
-    process = experiment(*SMOKE, "--out", directory)
+    process = experiment(*SMOKE, *METHODS, "--out", directory)
     assert process.returncode == 0, process.stderr
     return Done(directory, process)
 
@@ -83,6 +85,12 @@ def done(tmp_path_factory, experiment):
 @pytest.fixture(scope="session")
 def smoke():
     """The arguments of the run that is `done`."""
+    return (*SMOKE, *METHODS)
+
+
+@pytest.fixture(scope="session")
+def small():
+    """Its sizes alone."""
     return SMOKE
 
 

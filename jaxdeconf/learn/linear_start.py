@@ -19,6 +19,9 @@ from jax import Array
 
 from jaxdeconf import checks
 
+# Of the first component's variance, the least that a component is taken to have.
+_FLOOR = 1e-6
+
 
 class LinearStart(NamedTuple):
     """Unit-variance, uncorrelated components z = (x - mean) @ encoder, x ≈ mean + z @ decoder."""
@@ -91,7 +94,8 @@ def linear_start(images: Array, count: int, key: Array, among: int | None = None
     mean = images.mean(axis=0)
     centred = images - mean
     vectors, variances = principal_components(centred, among, subspace_key)
-    scale = jnp.sqrt(jnp.maximum(variances, 1e-12))
+    # Components that are rounding of uint8 must not be blown up to unit variance.
+    scale = jnp.sqrt(jnp.maximum(variances, _FLOOR * variances[0] + 1e-12))
     rotation = independent_rotation(centred @ (vectors / scale), rotation_key)
     if among > count:
         power = ((vectors * scale) ** 2).sum(axis=0) @ rotation**2  # of each, in the image

@@ -71,3 +71,12 @@ def test_of_components_among_more_the_strongest_are_kept():
     found = purity(x, sources, 3)
     np.testing.assert_array_equal(found.argmax(axis=1), [1, 2])  # the strongest first
     assert found.max(axis=1).min() > 0.995
+
+
+def test_a_component_that_is_not_there_is_not_blown_up():
+    """Three sources, four components: the fourth is rounding, and stays small."""
+    _, x = mixture((3.0, 2.0, 1.0))
+    start = linear_start(x, SOURCES + 1, jax.random.key(4))
+    variances = np.sort(np.asarray((x - start.mean) @ start.encoder).var(axis=0))
+    assert variances[0] < 1e-3
+    np.testing.assert_allclose(variances[1:], 1.0, atol=0.02)

@@ -75,8 +75,8 @@ def sweep(experiment, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def swept(sweep, smoke):
-    return sweep(*smoke, *GRID, "--devices", "2")
+def swept(sweep, small):
+    return sweep(*small, *GRID, "--devices", "2")
 
 
 @pytest.mark.slow
@@ -97,12 +97,12 @@ def test_a_sweep_leaves_rows_a_table_and_plots(swept):
 
 
 @pytest.mark.slow
-def test_two_processes_find_what_one_finds(swept, smoke, experiment, tmp_path):
+def test_two_processes_find_what_one_finds(swept, small, experiment, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
     of = ("--coordinator", address, "--num-processes", "2", "--process-id")
-    arguments = [*SWEEP, *smoke, *GRID, "--out", tmp_path / "sweep", *of]
+    arguments = [*SWEEP, *small, *GRID, "--out", tmp_path / "sweep", *of]
     processes = [
         subprocess.Popen(
             [sys.executable, *map(str, [*arguments, number])],
@@ -184,10 +184,10 @@ def test_masks_alone_for_a_thousand_thresholds(sweep, swept, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_sweep_says_how_to_go_on(experiment, smoke, tmp_path):
+def test_an_interrupted_sweep_says_how_to_go_on(experiment, small, tmp_path):
     out = tmp_path / "sweep"
     process = subprocess.Popen(
-        [sys.executable, *SWEEP, *smoke, "--out", str(out)],
+        [sys.executable, *SWEEP, *small, "--out", str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -204,13 +204,13 @@ def test_an_interrupted_sweep_says_how_to_go_on(experiment, smoke, tmp_path):
 
 
 @pytest.mark.slow
-def test_another_grid_is_refused(swept, smoke, capsys, monkeypatch):
+def test_another_grid_is_refused(swept, small, capsys, monkeypatch):
     monkeypatch.setattr(jax.config, "update", lambda *_: None)  # JAX has its devices by now
     directory = swept[0]
     before = (directory / "sweep.jsonl").read_bytes()
     assert main(["sweep", "--seeds", "2", "--resume", str(directory)]) == 2
     assert "holds another sweep" in capsys.readouterr().err
-    assert main(["sweep", *smoke, *GRID, "--out", str(directory)]) == 2
+    assert main(["sweep", *small, *GRID, "--out", str(directory)]) == 2
     assert f"holds a sweep; use --resume {directory}" in capsys.readouterr().err
     assert (directory / "sweep.jsonl").read_bytes() == before
 
