@@ -28,7 +28,7 @@ from jaxdeconf.learn.clone import CloneConfig, Demonstrations, Policy, View
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.learn.fit import Training, Watch, finish
 from jaxdeconf.mask import Mask, MaskConfig
-from jaxdeconf.methods import METHODS, Evidence, Method, available, masking, require
+from jaxdeconf.methods import METHODS, Evidence, Method, available, given, masking, require
 
 
 class Deconfounded(NamedTuple):
@@ -187,7 +187,11 @@ def cloning(
         checks.same_length("data", len(cloned.actions), samples, "steps")
         return cloned
 
-    return bc.training(config, data, samples, view, parameters, key, method.objective)
+    training = bc.training(config, data, samples, view, parameters, key, method.objective)
+    if method.data is given:
+        return training
+    # Then what is imitated may follow from all that there is.
+    return training._replace(made_from=(parameters, evidence.encoder, evidence.mask))
 
 
 def shown(demos: Demos, view: View, parameters: Any, steps: int | None) -> Demonstrations:

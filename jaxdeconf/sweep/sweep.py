@@ -20,7 +20,7 @@ from jax.experimental import multihost_utils
 
 from jaxdeconf import systems
 from jaxdeconf.deconfound import cloning, imitated
-from jaxdeconf.methods import METHODS, Evidence, given
+from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline import judge
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.interruption import Interruption
@@ -162,8 +162,7 @@ def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, 
         run.key,
         config.clone,
     )
-    told = Evidence() if method.data is given else Evidence(evidence.encoder, evidence.mask)
-    sees = fingerprint((training.made_from, told))
+    sees = fingerprint(training.made_from)
     # Without what only the training depends on: the same frames are held once.
     frames = name, data_name(config), sees, config.clone.trajectory_steps
     return Name(name, data_name(config), sees, digest(config.clone)), Job(training, frames)
