@@ -116,7 +116,7 @@ def _seeds(asked: Arguments, system: System, directory: Path, interruption: Inte
         resume = asked.resume is not None and (not several or (place / "config.json").is_file())
         one = dataclasses.replace(config, seed=seed)
         done.append(run(one, system, place, reporter, resume, interruption))
-        if not (place / "report.html").exists():
+        if _is_older(place / "report.html", place / results.FILE):
             with writing(directory):
                 write_report(place, *results.load(place))
         print(summary(done[-1], place))
@@ -124,6 +124,11 @@ def _seeds(asked: Arguments, system: System, directory: Path, interruption: Inte
         with writing(directory):
             write_summary(directory, done)
         print(f"summary: {directory / 'report.html'}")
+
+
+def _is_older(page: Path, results: Path) -> bool:
+    """Whether a page does not show the results: it is not there, or from before them."""
+    return not page.exists() or page.stat().st_mtime_ns < results.stat().st_mtime_ns
 
 
 def _default_directory(asked: Arguments) -> Path:

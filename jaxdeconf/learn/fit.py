@@ -17,9 +17,8 @@ import optax
 from jax import Array
 
 from jaxdeconf import checks
+from jaxdeconf.nets.layers import Variables
 from jaxdeconf.traced import Traced, traceable
-
-Variables = dict[str, Any]  # {"params": trained, "batch_stats": carried along}
 
 # (variables, data, indices [B], key, step []) -> (loss [], (new batch_stats, metrics))
 Loss = Callable[[Variables, Any, Array, Array, Array], tuple[Array, tuple[Any, dict[str, Array]]]]

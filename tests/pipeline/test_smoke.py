@@ -83,9 +83,11 @@ def test_a_finished_run_resumes_to_the_same_numbers(done, experiment, numbers, t
     for name in ("mask", "clone Masked"):
         shutil.rmtree(copy / "checkpoints" / name)
     (copy / "results.json").unlink()
+    (copy / "report.html").write_text("of the results that were there before")
     run = experiment("--resume", copy)
     assert run.returncode == 0, run.stderr
     assert numbers(copy) == numbers(done.directory)
+    assert "BcManual" in (copy / "report.html").read_text()
 
 
 def test_what_is_finished_is_only_said_again_and_its_report_redrawn(done, capsys, tmp_path):
