@@ -23,10 +23,10 @@ from jaxdeconf import mask, systems
 from jaxdeconf.commands.guard import cache_compilations
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.fit import FitState, Training
-from jaxdeconf.methods import identity
 from jaxdeconf.pipeline.machine import cores
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.sweep import batch, plan
+from jaxdeconf.views import identity
 
 BASE = PRESETS["cartpole"]["laptop"]
 CARTPOLE = systems.get("cartpole")

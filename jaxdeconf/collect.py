@@ -9,7 +9,6 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
-import numpy as np
 from jax import Array
 
 from jaxdeconf import checks
@@ -79,13 +78,24 @@ def collect(
     random = random_trajectories(
         system, named(key, "random"), learned + config.held_out_trajectories
     )
-    random = jax.tree.map(lambda a: a[:, : config.random_steps], random)
     keys = jax.random.split(named(key, "expert initial states"), imitated + rollouts)
     states = jax.vmap(system.sample_initial)(keys)
     driven, unconverged = expert_trajectories(system, states, named(key, "expert"), expert)
+    return _parted(random, driven, unconverged, learned, config.random_steps, imitated)
+
+
+@partial(jax.jit, static_argnames=("learned", "steps", "imitated"))
+def _parted(
+    random: Trajectories,
+    driven: Trajectories,
+    unconverged: Array,
+    learned: int,
+    steps: int | None,
+    imitated: int,
+) -> Collected:
     return Collected(
-        jax.tree.map(lambda a: a[:learned], random),
-        jax.tree.map(lambda a: a[learned:], random),
+        jax.tree.map(lambda a: a[:learned, :steps], random),
+        jax.tree.map(lambda a: a[learned:, :steps], random),
         jax.tree.map(lambda a: a[:imitated], driven),
         jax.tree.map(lambda a: a[imitated:], driven),
         unconverged[:imitated],
@@ -94,19 +104,19 @@ def collect(
 
 def exploration(system: System, trajectories: Trajectories) -> Exploration:
     """The frames of all valid steps of random-policy trajectories."""
-    flat = jax.tree.map(lambda a: a[trajectories.valid], trajectories)
+    known = jax.device_get(trajectories)  # NumPy compiles nothing
+    flat = jax.tree.map(lambda a: a[known.valid], known)
     return Exploration(frames(system, flat), flat.previous_actions / system.limits)
 
 
 def demonstrations(system: System, trajectories: Trajectories, steps: int | None = None) -> Demos:
     """The first steps of an expert's trajectories, drawn; None is all steps."""
-    first = jax.tree.map(lambda a: a[:, :steps], trajectories)
-    valid = np.asarray(trajectories.valid)[:, :steps]  # a value, also where shapes are asked for
+    first = jax.tree.map(lambda a: a[:, :steps], jax.device_get(trajectories))
     return Demos(
         images=_draw(system, first),
         actions=first.actions / system.limits,
         initial_states=first.states[:, 0],
-        valid=None if valid.all() else valid,
+        valid=None if first.valid.all() else first.valid,
         previous_actions=first.previous_actions / system.limits,
         state_names=system.state_names,
         action_names=system.action_names,

@@ -10,11 +10,9 @@ with it, show it or stop it. Shapes: N episodes, T steps, n frames, H × W pixel
 O latent; H also is the reaction horizon, where it counts steps.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -24,11 +22,11 @@ from jaxdeconf import mask as algorithm
 from jaxdeconf.demos import Demos
 from jaxdeconf.learn import clone as bc
 from jaxdeconf.learn import disentangle as vae
-from jaxdeconf.learn.clone import CloneConfig, Demonstrations, Policy, View
+from jaxdeconf.learn.clone import CloneConfig, Policy
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
-from jaxdeconf.learn.fit import Training, Watch, finish
+from jaxdeconf.learn.fit import Watch, finish
 from jaxdeconf.mask import Mask, MaskConfig
-from jaxdeconf.methods import METHODS, Evidence, Method, available, given, masking, require
+from jaxdeconf.methods import METHODS, Evidence, available, cloning, imitated, masking, require
 
 
 class Deconfounded(NamedTuple):
@@ -65,10 +63,10 @@ def deconfound(
       ValueError: if shapes do not fit, a method is unknown or its needs are not met.
     """
     methods = masking() if methods is None else methods
-    _check(demos, known, key)
-    for name in methods:
-        require(name, available(demos, known) | {"encoder", "mask"})
-    _check_together(demos, exploration, disentangle, mask, clone)
+    # What a later step would refuse, before minutes are spent on the first.
+    _check_cloning(methods, demos, known, clone, {"encoder", "mask"})
+    _check_masking(demos, mask)
+    checks.array("exploration", exploration, "[n, ...]", (None, *demos.images.shape[2:]), "uint8")
     exploration = jnp.asarray(exploration)
     held_out = np.arange(len(exploration)) % 10 == 9
     encoder = learn_latents(exploration[~held_out], exploration[held_out], key, disentangle, watch)
@@ -100,10 +98,11 @@ def learn_latents(
     _, height, width, _ = images.shape
     shape = None, height, width, 3
     checks.array("held_out", held_out, f"[m, {height}, {width}, 3]", shape, "uint8")
-    images, held_out = jnp.asarray(images), jnp.asarray(held_out)  # once, not at every chunk
     checks.key("key", key)
     checks.instance("config", config, DisentangleConfig)
-    _check_latents(config, (height, width), len(images))
+    vae.check_size(config, (height, width))
+    config.total_steps(len(images))
+    images, held_out = jnp.asarray(images), jnp.asarray(held_out)  # once, not at every chunk
     training = vae.training(config, lambda: images, len(images), lambda: held_out, key)
     return training.trained(watch("disentangle", training))
 
@@ -116,9 +115,7 @@ def mask_latents(encoder: Encoder, demos: Demos, config: MaskConfig = MaskConfig
         their images have not the size of those that the encoder learnt.
     """
     checks.instance("encoder", encoder, Encoder)
-    checks.instance("demos", demos, Demos)
-    checks.instance("config", config, MaskConfig)
-    _check_mask(config, demos)
+    _check_masking(demos, config)
     vae.check_images(encoder, demos.images.shape[2:4])
     return algorithm.find_mask(
         demos.initial_states,
@@ -157,100 +154,36 @@ def clone_policy(
     Raises:
       ValueError: if there is no such method, its needs are not met, or what there is does not fit.
     """
-    _check(demos, evidence, key)
-    checks.instance("config", config, CloneConfig)
-    require(name, available(demos, evidence))
+    checks.key("key", key)
+    _check_cloning([name], demos, evidence, config)
     samples = imitated(demos.lengths, config)
     training = cloning(METHODS[name], lambda: demos, samples, evidence, key, config)
     return training.trained(watch(f"clone {name}", training))
 
 
-def imitated(lengths: np.ndarray, config: CloneConfig) -> int:
-    """How many steps are cloned of episodes of these lengths [N]."""
-    return int(np.minimum(lengths, config.trajectory_steps or lengths.max()).sum())
-
-
-def cloning(
-    method: Method,
-    demos: Callable[[], Demos],
-    samples: int,
-    evidence: Evidence,
-    key: Array,
-    config: CloneConfig,
-) -> Training:
-    """A method's training, not yet begun; `demos` makes what is cloned, `samples` steps of it."""
-    view, parameters = method.view(evidence)
-
-    def data() -> Demonstrations:
-        imitate = method.data(demos(), evidence)
-        cloned = shown(imitate, view, parameters, config.trajectory_steps)
-        checks.same_length("data", len(cloned.actions), samples, "steps")
-        return cloned
-
-    training = bc.training(config, data, samples, view, parameters, key, method.objective)
-    if method.data is given:
-        return training
-    # Then what is imitated may follow from all that there is.
-    return training._replace(made_from=(parameters, evidence.encoder, evidence.mask))
-
-
-def shown(demos: Demos, view: View, parameters: Any, steps: int | None) -> Demonstrations:
-    """The first steps of each episode, as a view shows them; None is all."""
-    images = _through(view, parameters, jnp.asarray(demos.images[:, :steps]))
-    count, length = images.shape[:2]
-    step = jnp.broadcast_to(jnp.arange(length, dtype=jnp.int32), (count, length))
-    actions, previous = jnp.asarray(demos.actions[:, :steps]), demos.previous_actions
-    previous = None if previous is None else jnp.asarray(previous[:, :steps])
-    padded = Demonstrations(images, step, actions, previous)
-    if demos.valid is None:
-        return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), padded)
-    valid = np.asarray(demos.valid)[:, :steps]
-    return jax.tree.map(lambda a: a[valid], padded)
-
-
-@partial(jax.jit, static_argnames="view")
-def _through(view: View, parameters: Any, images: Array) -> Array:
-    """A view of uint8 images [N, T, H, W, 3], an episode at a time."""
-    return jax.lax.map(partial(view, parameters), images)
-
-
-def _check(demos: Demos, evidence: Evidence, key: Array) -> None:
+def _check_masking(demos: Demos, config: MaskConfig) -> None:
     checks.instance("demos", demos, Demos)
-    checks.instance("evidence", evidence, Evidence)
-    checks.key("key", key)
-    if evidence.encoder is not None:
-        checks.instance("encoder", evidence.encoder, Encoder)
-        vae.check_images(evidence.encoder, demos.images.shape[2:4])
-    if evidence.mask is not None:
-        count = None if evidence.encoder is None else len(evidence.encoder.active)
-        checks.array("mask", evidence.mask, f"[{count or 'O'}]", (count,), "bool")
-
-
-def _check_together(
-    demos: Demos,
-    exploration: Array,
-    disentangle: DisentangleConfig,
-    mask: MaskConfig,
-    clone: CloneConfig,
-) -> None:
-    """What a later step would refuse, before minutes are spent on the first."""
-    height, width = size = demos.images.shape[2:4]
-    shape = None, *size, 3
-    checks.array("exploration", exploration, f"[n, {height}, {width}, 3]", shape, "uint8")
-    count = checks.integer("frames in exploration", len(exploration), least=10)
-    checks.instance("disentangle", disentangle, DisentangleConfig)
-    checks.instance("mask", mask, MaskConfig)
-    checks.instance("clone", clone, CloneConfig)
-    _check_latents(disentangle, size, count - count // 10)
-    _check_mask(mask, demos)
-    clone.total_steps(imitated(demos.lengths, clone))
-
-
-def _check_latents(config: DisentangleConfig, size: tuple[int, int], images: int) -> None:
-    vae.check_size(config, size)
-    config.total_steps(images)
-
-
-def _check_mask(config: MaskConfig, demos: Demos) -> None:
+    checks.instance("config", config, MaskConfig)
     checks.integer("episodes in demos", len(demos.actions), least=5)
     checks.integer("reaction_horizon", config.reaction_horizon, most=int(demos.lengths.min()))
+
+
+def _check_cloning(
+    names: Sequence[str],
+    demos: Demos,
+    evidence: Evidence,
+    config: CloneConfig,
+    to_come: Collection[str] = (),
+) -> None:
+    """Whether what there is, and what is to come, suffices for each method."""
+    checks.instance("demos", demos, Demos)
+    checks.instance("evidence", evidence, Evidence)
+    checks.instance("config", config, CloneConfig)
+    for name in names:
+        require(name, available(demos, evidence) | {*to_come})
+    if evidence.encoder is not None:
+        vae.check_images(evidence.encoder, demos.images.shape[2:4])
+        latents = len(evidence.encoder.active)
+        if evidence.mask is not None:
+            checks.array("mask", evidence.mask, f"[{latents}]", (latents,), "bool")
+    config.total_steps(imitated(demos.lengths, config))

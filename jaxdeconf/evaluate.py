@@ -73,6 +73,11 @@ def rollout_loss(system: System, trajectories: Trajectories) -> Array:
     that moment for the rest of its time.
     """
     _check(system, trajectories)
+    return _rollout_loss(system, trajectories)
+
+
+@partial(jax.jit, static_argnames="system")
+def _rollout_loss(system: System, trajectories: Trajectories) -> Array:
     cost = jax.vmap(jax.vmap(system.stage_cost))
     return cost(trajectories.states, trajectories.actions).mean(axis=1)
 

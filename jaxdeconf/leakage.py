@@ -36,8 +36,13 @@ def spearman(latents: Array, signal: Array) -> Array:
     """
     latents = checks.array("latents", latents, "[n, O]", (None, None), finite=True)
     form = f"[{len(latents)}, A]"
-    signal = checks.array("signal", signal, form, (len(latents), None), finite=True)
+    return _spearman(
+        latents, checks.array("signal", signal, form, (len(latents), None), finite=True)
+    )
 
+
+@jax.jit
+def _spearman(latents: Array, signal: Array) -> Array:
     def ranks(values: Array) -> Array:
         order = jnp.argsort(jnp.argsort(values, axis=0), axis=0) - (len(values) - 1) / 2
         return jnp.where(values.max(axis=0) > values.min(axis=0), order, 0.0)
@@ -55,7 +60,6 @@ def _kernel(a: Array, b: Array) -> Array:
     return inner / size + jnp.exp(-jnp.maximum(squared, 0.0) / (2.0 * size))
 
 
-@partial(jax.jit, static_argnames="components")
 def _predict(train: Array, signal: Array, test: Array, key: Array, components: int) -> Array:
     """[m, A] predictions at test [m, P]; each ridge the best by leave-one-out on train [n, P]."""
     mean = train.mean(axis=0)
@@ -107,6 +111,7 @@ def r_squared(
     return _shares(flat[0], train_signal, flat[1], test_signal, key, components).mean()
 
 
+@partial(jax.jit, static_argnames="components")
 def _shares(
     train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array, components: int
 ) -> Array:

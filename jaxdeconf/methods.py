@@ -6,21 +6,19 @@ on what. To add one, add a row; nothing else names a method.
 """
 
 from collections.abc import Callable, Collection
-from functools import cache
 from typing import Any, Literal, NamedTuple, get_args
 
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxdeconf import checks
 from jaxdeconf.demos import Demos
 from jaxdeconf.learn import clone
-from jaxdeconf.learn.clone import View
+from jaxdeconf.learn.clone import CloneConfig, Demonstrations, View
 from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.learn.fit import Objective, Variables
-from jaxdeconf.nets import vae
-from jaxdeconf.vision import raster
+from jaxdeconf.learn.fit import Objective, Training
+from jaxdeconf.views import covered, identity, reconstructed, shown
 
 
 class Evidence(NamedTuple):
@@ -78,37 +76,33 @@ def masking() -> tuple[str, ...]:
     return tuple(name for name, method in METHODS.items() if "mask" in method.needs)
 
 
-def identity(_: Variables, images: Array) -> Array:
-    """Uint8 frames [B, H, W, 3] as they are."""
-    return images
+def imitated(lengths: np.ndarray, config: CloneConfig) -> int:
+    """How many steps are cloned of episodes of these lengths [N]."""
+    return int(np.minimum(lengths, config.trajectory_steps or lengths.max()).sum())
 
 
-@cache
-def covered(cover: Callable[[Array], Array]) -> View:
-    """Frames with the nuisance covered; the same view for the same cover, so it compiles once."""
+def cloning(
+    method: Method,
+    demos: Callable[[], Demos],
+    samples: int,
+    evidence: Evidence,
+    key: Array,
+    config: CloneConfig,
+) -> Training:
+    """A method's training, not yet begun; `demos` makes what is cloned, `samples` steps of it."""
+    view, parameters = method.view(evidence)
 
-    def view(_: Variables, images: Array) -> Array:
-        return raster.quantize(jax.vmap(cover)(raster.dequantize(images)))
+    def data() -> Demonstrations:
+        imitate = method.data(demos(), evidence)
+        cloned = shown(imitate, view, parameters, config.trajectory_steps)
+        checks.same_length("data", len(cloned.actions), samples, "steps")
+        return cloned
 
-    return view
-
-
-@cache
-def reconstructed(config: vae.VAEConfig) -> View:
-    """The β-VAE's reconstruction of the latents that are kept, others at their prior mean.
-
-    Its parameters are {"variables": of the β-VAE, "keep": [O] bool}.
-    """
-
-    def view(parameters: Variables, images: Array) -> Array:
-        variables = parameters["variables"]
-        mean, _, _ = vae.encode(config, variables, raster.dequantize(images), train=False)
-        latents = jnp.where(parameters["keep"], mean, 0.0)
-        _, height, width, _ = images.shape
-        drawn, _ = vae.decode(config, variables, latents, (height, width), train=False)
-        return raster.quantize(drawn)
-
-    return view
+    training = clone.training(config, data, samples, view, parameters, key, method.objective)
+    if method.data is given:
+        return training
+    # Then what is imitated may follow from all that there is.
+    return training._replace(made_from=(parameters, evidence.encoder, evidence.mask))
 
 
 def _as_they_are(_: Evidence) -> tuple[View, Any]:

@@ -11,19 +11,18 @@ from jaxdeconf.deconfound import (
     clone_policy,
     deconfound,
     first_latents,
-    imitated,
     learn_latents,
     mask_latents,
-    shown,
 )
 from jaxdeconf.demos import Demos
 from jaxdeconf.learn.clone import CloneConfig, Policy
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.learn.fit import finish
 from jaxdeconf.mask import Mask, MaskConfig
-from jaxdeconf.methods import METHODS, Evidence, Method, identity
+from jaxdeconf.methods import METHODS, Evidence, Method, imitated
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
+from jaxdeconf.views import identity, shown
 
 KEY = jax.random.key(0)
 N, T, SIZE = 150, 4, (16, 24)

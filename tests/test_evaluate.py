@@ -10,9 +10,9 @@ import pytest
 from jaxdeconf import evaluate, systems
 from jaxdeconf.evaluate import EvaluateConfig
 from jaxdeconf.learn.clone import Policy
-from jaxdeconf.methods import covered, identity
 from jaxdeconf.nets import resnet
 from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.views import covered, identity
 
 SIZE = (16, 16)
 SYSTEM = replace(systems.get("cartpole"), size=SIZE)

@@ -21,13 +21,14 @@ FLOORS = {
     "learn": 4,
     "mask": 4,
     "leakage": 5,
-    **dict.fromkeys(["methods", "evaluate"], 5),
-    "deconfound": 6,
-    "pipeline": 7,
-    "presets": 8,
-    "sweep": 8,
-    "report": 9,
-    "commands": 10,
+    **dict.fromkeys(["views", "evaluate"], 5),
+    "methods": 6,
+    "deconfound": 7,
+    "pipeline": 8,
+    "presets": 9,
+    "sweep": 9,
+    "report": 10,
+    "commands": 11,
 }
 HARNESS = {"pipeline", "sweep", "report", "commands"}
 # Only the harness knows files and screens.

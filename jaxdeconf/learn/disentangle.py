@@ -7,6 +7,7 @@ divergence weighs β · M_N. Shapes: n frames, B batch, P pixels, O latents.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
@@ -137,7 +138,7 @@ def training(
 
     def trained(state: FitState) -> Encoder:
         mean, log_variance = encode(config.network, state.variables, held_out())
-        kl = kl_divergence(mean, log_variance).mean(axis=0)
+        kl = jax.jit(kl_divergence)(mean, log_variance).mean(axis=0)
         return Encoder(config.network, state.variables, kl, kl > ACTIVE_KL)
 
     return Training(objective, config, count, named(key, "VAE training"), images, begin, trained)
@@ -200,6 +201,14 @@ def objective(config: DisentangleConfig) -> Loss:
         return total, (stats, {"reconstruction": squared_error, "kl": divergence})
 
     return loss
+
+
+@partial(jax.jit, static_argnames="size")
+def decode(
+    config: vae.VAEConfig, variables: Variables, latents: Array, size: tuple[int, int]
+) -> Array:
+    """Uint8 images [n, H, W, 3] of latents [n, O]; size is (H, W)."""
+    return raster.quantize(vae.decode(config, variables, latents, size, train=False)[0])
 
 
 @jax.jit

@@ -9,13 +9,12 @@ import numpy as np
 
 from jaxdeconf import checks
 from jaxdeconf.collect import CollectConfig
-from jaxdeconf.deconfound import imitated
 from jaxdeconf.evaluate import EvaluateConfig
 from jaxdeconf.expert import ExpertConfig
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.disentangle import DisentangleConfig, check_size
 from jaxdeconf.mask import MaskConfig
-from jaxdeconf.methods import METHODS, require
+from jaxdeconf.methods import METHODS, imitated, require
 from jaxdeconf.systems import System
 from jaxdeconf.traced import traceable
 

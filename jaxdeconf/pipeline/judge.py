@@ -19,8 +19,6 @@ from jaxdeconf.keys import named
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.clone import Policy, View
 from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.methods import covered, identity, reconstructed
-from jaxdeconf.nets import vae
 from jaxdeconf.pipeline.results import (
     SAME,
     Judged,
@@ -31,7 +29,7 @@ from jaxdeconf.pipeline.results import (
 )
 from jaxdeconf.systems import System, Trajectories
 from jaxdeconf.systems.rollout import frames
-from jaxdeconf.vision import raster
+from jaxdeconf.views import covered, identity, reconstructed
 
 # Frames that train, and that test, the regression of leakage: its time is cubic in them.
 _JUDGE_FRAMES = 1500
@@ -77,17 +75,14 @@ def judge_latents(trial: Trial, encoder: Encoder) -> JudgedLatents:
 def _reconstruction(trial: Trial, encoder: Encoder, images: Array) -> Reconstruction:
     """The error where the nuisance is, by whoever knows it, and elsewhere."""
     parameters = {"variables": encoder.variables, "keep": encoder.active}
-    drawn = raster.dequantize(see(reconstructed(encoder.network), parameters, images))
-    truth = raster.dequantize(images)
-    squared = ((drawn - truth) ** 2).sum(axis=-1)
-    nuisance = jnp.zeros(squared.shape[1:], bool)
+    drawn = see(reconstructed(encoder.network), parameters, images)
+    truth, drawn = (np.asarray(frame, np.float32) for frame in (images, drawn))
+    error = (((drawn - truth) / 255.0) ** 2).mean(axis=0).sum(axis=-1)  # [H, W]
+    nuisance = np.zeros(error.shape, bool)
     if hasattr(trial.system.nuisance, "cover"):
-        without = raster.dequantize(see(covered(trial.system.nuisance.cover), {}, images))
+        without = see(covered(trial.system.nuisance.cover), {}, images)
         nuisance = (truth != without).any(axis=(0, 3))
-    return Reconstruction(
-        float(jnp.where(nuisance, squared, 0.0).sum(axis=(1, 2)).mean()),
-        float(jnp.where(nuisance, 0.0, squared).sum(axis=(1, 2)).mean()),
-    )
+    return Reconstruction(float(error[nuisance].sum()), float(error[~nuisance].sum()))
 
 
 def precision_recall(
@@ -106,7 +101,7 @@ def precision_recall(
 def judge_expert(system: System, collected: Collected) -> JudgedExpert:
     """The expert on the evaluation's initial states, and its faults on all of its own."""
     trajectories = collected.expert
-    penalty = jax.vmap(jax.vmap(system.state_penalty))(trajectories.states[:, 1:])
+    penalty = jax.jit(jax.vmap(jax.vmap(system.state_penalty)))(trajectories.states[:, 1:])
     return JudgedExpert(
         float(evaluate.rollout_loss(system, collected.evaluation).mean()),
         float(evaluate.outcome(system, collected.evaluation).mean()),
@@ -178,15 +173,17 @@ def pictures(
     """The frames that the report shows."""
     system, collected = trial.system, trial.collected
     stride = max(1, system.steps // 2 // _STRIP)
-    example = jax.tree.map(lambda a: a[0, : stride * _STRIP : stride], collected.expert)
+    example = jax.tree.map(
+        lambda a: a[0, : stride * _STRIP : stride], jax.device_get(collected.expert)
+    )
     images = frames(system, example)
     changed = {name: policy for name, policy in policies.items() if policy.view is not identity}
     strips = {name: see(one.view, one.parameters, images) for name, one in changed.items()}
     # The start that is of middling difficulty to the expert.
-    order = jnp.argsort(evaluate.rollout_loss(system, collected.evaluation))
+    order = np.argsort(evaluate.rollout_loss(system, collected.evaluation))
     start = order[len(order) // 2]
     shown = {
-        name: jax.tree.map(lambda a: a[start], rolled)
+        name: jax.tree.map(lambda a: a[start], jax.device_get(rolled))
         for name, rolled in {"Expert": collected.evaluation, **driven}.items()
     }
     return Pictures(
@@ -208,7 +205,7 @@ def see(view: View, parameters: Any, images: Array) -> Array:
 def _traversals(encoder: Encoder, size: tuple[int, int]) -> np.ndarray:
     """uint8 [O, V, H, W, 3]: each latent moved alone, the others at their prior mean."""
     count, network = encoder.network.latents, encoder.network
-    latents = jnp.eye(count)[:, None] * jnp.asarray(_TRAVERSAL, jnp.float32)[None, :, None]
-    flat = latents.reshape(-1, count)
-    decoded = vae.decode(network, encoder.variables, flat, size, train=False)[0]
-    return np.asarray(raster.quantize(decoded)).reshape(count, len(_TRAVERSAL), *size, 3)
+    latents = np.eye(count)[:, None] * _TRAVERSAL[None, :, None]
+    flat = latents.reshape(-1, count).astype(np.float32)
+    drawn = disentangle.decode(network, encoder.variables, flat, size)
+    return np.asarray(drawn).reshape(count, len(_TRAVERSAL), *size, 3)

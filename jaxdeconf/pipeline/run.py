@@ -10,12 +10,12 @@ from jax import Array
 
 from jaxdeconf import collect, systems
 from jaxdeconf.collect import Collected
-from jaxdeconf.deconfound import clone_policy, imitated, learn_latents, mask_latents
+from jaxdeconf.deconfound import clone_policy, learn_latents, mask_latents
 from jaxdeconf.demos import Demos
 from jaxdeconf.expert import plan
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.mask import Mask
-from jaxdeconf.methods import Evidence
+from jaxdeconf.methods import Evidence, imitated
 from jaxdeconf.pipeline import judge, machine
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.config import Config, fitting

@@ -131,4 +131,4 @@ class Run:
 
 def finite(tree: Any) -> bool:
     """Whether all numbers of a pytree are finite."""
-    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(tree))
+    return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(tree))

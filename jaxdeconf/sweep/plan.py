@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdeconf.deconfound import imitated
 from jaxdeconf.learn import clone, disentangle
 from jaxdeconf.learn.clone import Demonstrations
 from jaxdeconf.learn.fit import Objective, Training
-from jaxdeconf.methods import METHODS, identity
+from jaxdeconf.methods import METHODS, imitated
 from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.pipeline.machine import free_memory
 from jaxdeconf.sweep import batch, grid, shared
@@ -18,6 +17,7 @@ from jaxdeconf.sweep.grid import Point
 from jaxdeconf.sweep.log import Sweep
 from jaxdeconf.sweep.sweep import part
 from jaxdeconf.systems import System
+from jaxdeconf.views import identity
 
 
 def describe(sweep: Sweep, system: System, shard: tuple[int, int], budget: float) -> str:

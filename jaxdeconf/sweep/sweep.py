@@ -19,8 +19,7 @@ import numpy as np
 from jax.experimental import multihost_utils
 
 from jaxdeconf import systems
-from jaxdeconf.deconfound import cloning, imitated
-from jaxdeconf.methods import METHODS
+from jaxdeconf.methods import METHODS, cloning, imitated
 from jaxdeconf.pipeline import judge
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.interruption import Interruption

@@ -8,9 +8,9 @@ import pytest
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations, Policy
 from jaxdeconf.learn.fit import finish
-from jaxdeconf.methods import identity
 from jaxdeconf.nets import resnet
 from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.views import identity
 
 SIZE = (8, 12)
 NETWORK = ResNetConfig(width=4, stem="imagenet", stages=1, norm="none")

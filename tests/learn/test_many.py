@@ -11,9 +11,9 @@ from jaxdeconf.learn.clone import CloneConfig, Demonstrations
 from jaxdeconf.learn.disentangle import DisentangleConfig
 from jaxdeconf.learn.fit import FitConfig, FitState, fit, start
 from jaxdeconf.learn.many import AXIS, Models, fit_many
-from jaxdeconf.methods import identity
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
+from jaxdeconf.views import identity
 
 MESH = Mesh(np.array(jax.devices()[:1]), (AXIS,))
 SAMPLES = 40

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from jax.experimental.key_reuse._core import check_key_reuse  # the checker, without compiling
 
-from jaxdeconf import evaluate, leakage, methods, systems
+from jaxdeconf import evaluate, leakage, systems, views
 from jaxdeconf.expert import ExpertConfig, expert_trajectories
 from jaxdeconf.independence import permutation_p_value
 from jaxdeconf.keys import named
@@ -59,7 +59,7 @@ def test_the_number_of_devices_changes_nothing(done, experiment, numbers, tmp_pa
 def named_keys():
     """How often each name stands in the package's source, as `named(key, "name")`."""
     found = Counter()
-    for file in Path(methods.__file__).parent.rglob("*.py"):
+    for file in Path(views.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             called = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
             if called and node.func.id == "named":
@@ -104,7 +104,7 @@ def cloning(key):
         actions = np.linspace(-1, 1, 16, dtype=np.float32)[:, None]
         return clone.Demonstrations(jnp.asarray(images()), jnp.arange(16), jnp.asarray(actions))
 
-    return clone.training(CLONE, data, 16, methods.identity, {}, key)
+    return clone.training(CLONE, data, 16, views.identity, {}, key)
 
 
 def disentangling(key):

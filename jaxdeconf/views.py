@@ -1,0 +1,72 @@
+"""What a policy is shown of a frame: functions of (its parameters, uint8 images) -> uint8 images.
+
+Shapes: B batch, N episodes, T steps, n frames, H × W pixels, O latent.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxdeconf.demos import Demos
+from jaxdeconf.learn.clone import Demonstrations, View
+from jaxdeconf.learn.fit import Variables
+from jaxdeconf.nets import vae
+from jaxdeconf.vision import raster
+
+
+def identity(_: Variables, images: Array) -> Array:
+    """Uint8 frames [B, H, W, 3] as they are."""
+    return images
+
+
+@cache
+def covered(cover: Callable[[Array], Array]) -> View:
+    """Frames with the nuisance covered; the same view for the same cover, so it compiles once."""
+
+    def view(_: Variables, images: Array) -> Array:
+        return raster.quantize(jax.vmap(cover)(raster.dequantize(images)))
+
+    return view
+
+
+@cache
+def reconstructed(config: vae.VAEConfig) -> View:
+    """The β-VAE's reconstruction of the latents that are kept, others at their prior mean.
+
+    Its parameters are {"variables": of the β-VAE, "keep": [O] bool}.
+    """
+
+    def view(parameters: Variables, images: Array) -> Array:
+        variables = parameters["variables"]
+        mean, _, _ = vae.encode(config, variables, raster.dequantize(images), train=False)
+        latents = jnp.where(parameters["keep"], mean, 0.0)
+        _, height, width, _ = images.shape
+        drawn, _ = vae.decode(config, variables, latents, (height, width), train=False)
+        return raster.quantize(drawn)
+
+    return view
+
+
+def shown(demos: Demos, view: View, parameters: Any, steps: int | None) -> Demonstrations:
+    """The first steps of each episode, as a view shows them; None is all."""
+    images = _through(view, parameters, jnp.asarray(demos.images[:, :steps]))
+    count, length = images.shape[:2]
+    step = jnp.broadcast_to(jnp.arange(length, dtype=jnp.int32), (count, length))
+    actions, previous = jnp.asarray(demos.actions[:, :steps]), demos.previous_actions
+    previous = None if previous is None else jnp.asarray(previous[:, :steps])
+    padded = Demonstrations(images, step, actions, previous)
+    if demos.valid is None:
+        return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), padded)
+    valid = np.asarray(demos.valid)[:, :steps]
+    return jax.tree.map(lambda a: a[valid], padded)
+
+
+@partial(jax.jit, static_argnames="view")
+def _through(view: View, parameters: Any, images: Array) -> Array:
+    """A view of uint8 images [N, T, H, W, 3], an episode at a time."""
+    return jax.lax.map(partial(view, parameters), images)

@@ -1,0 +1,66 @@
+"""Views: what each makes of a frame."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdeconf import systems, views
+from jaxdeconf.nets import vae
+from jaxdeconf.nets.vae import VAEConfig
+
+SYSTEM = systems.get("cartpole")
+CONFIG = VAEConfig(channels=(2,), latents=3, norm="none")
+
+
+@pytest.fixture(scope="module")
+def images():
+    """Of grains: the cover and the β-VAE take whatever there is."""
+    grains = np.random.default_rng(0).integers(0, 255, (5, 64, 64, 3), np.uint8)
+    return jnp.asarray(grains)
+
+
+@pytest.fixture(scope="module")
+def variables():
+    return vae.init(CONFIG, jax.random.key(1), (64, 64))
+
+
+def test_identity(images):
+    np.testing.assert_array_equal(views.identity({}, images), images)
+
+
+def test_the_cover_hides_the_nuisance_and_nothing_else(images):
+    seen = np.asarray(jax.jit(views.covered(SYSTEM.nuisance.cover))({}, images))
+    assert (seen[:, :15, :15] == 255).all()
+    changed = (seen != np.asarray(images)).any(axis=(0, 3))
+    assert not changed[16:].any()
+    assert not changed[:, 16:].any()
+
+
+def reconstruction(variables, images, keep):
+    """By the networks: the latents that are not kept are 0."""
+    return _reconstruction(variables, images, tuple(keep))
+
+
+@partial(jax.jit, static_argnums=2)
+def _reconstruction(variables, images, keep):
+    mean, _, _ = vae.encode(CONFIG, variables, images.astype(jnp.float32) / 255, train=False)
+    latents = jnp.stack([mean[:, i] if kept else 0 * mean[:, i] for i, kept in enumerate(keep)], 1)
+    return vae.decode(CONFIG, variables, latents, (64, 64), train=False)[0]
+
+
+def test_a_masked_reconstruction_does_not_depend_on_a_masked_latent(images, variables):
+    view = jax.jit(views.reconstructed(CONFIG))
+    seen = view({"variables": variables, "keep": jnp.array([True, False, True])}, images)
+    expected = reconstruction(variables, images, [True, False, True])
+    assert seen.dtype == jnp.uint8
+    np.testing.assert_allclose(seen.astype(float), expected * 255, atol=0.51)
+    nothing = view({"variables": variables, "keep": jnp.zeros(3, bool)}, images)
+    assert (nothing == nothing[0]).all()
+
+
+def test_the_same_view_is_the_same_static_argument():
+    assert views.reconstructed(CONFIG) is views.reconstructed(VAEConfig((2,), 3, norm="none"))
+    assert views.covered(SYSTEM.nuisance.cover) is views.covered(SYSTEM.nuisance.cover)
