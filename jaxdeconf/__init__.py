@@ -25,5 +25,6 @@ from jaxdeconf.mask import Mask, find_mask
 from jaxdeconf.methods import METHODS, Evidence, Method
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.run import run
+from jaxdeconf.region import find_region
 from jaxdeconf.systems import System
 from jaxdeconf.version import __version__

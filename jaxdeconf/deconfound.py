@@ -2,9 +2,11 @@
 
     encoder = learn_latents(exploration, held_out, key)          1  a β-VAE on random-policy frames
     mask    = mask_latents(encoder, demos)                       2  Algorithm 1 on s₁, o₁, a₁..a_H
-    policy  = clone_policy("Masked", demos, Evidence(encoder, mask.mask), key)    3  BC on the rest
+    region  = find_region(encoder, mask.mask, exploration, key)     the pixels that it is about
+    known   = Evidence(encoder, mask.mask, region)
+    policy  = clone_policy("Inpainted", demos, known, key)       3  behaviour cloning on the rest
 
-`deconfound` does all three. Nothing here knows where the frames came from: no simulator, no disk,
+`deconfound` does all of it. Nothing here knows where the frames came from: no simulator, no disk,
 no screen. What a training passes through on its way, `watch`, is where a caller may save it, go on
 with it, show it or stop it. Shapes: N episodes, T steps, n frames, H × W pixels, S state, A action,
 O latent; H also is the reaction horizon, where it counts steps.
@@ -27,6 +29,7 @@ from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.learn.fit import Watch, finish
 from jaxdeconf.mask import Mask, MaskConfig
 from jaxdeconf.methods import METHODS, Evidence, available, cloning, imitated, masking, require
+from jaxdeconf.region import find_region
 
 
 class Deconfounded(NamedTuple):
@@ -34,6 +37,7 @@ class Deconfounded(NamedTuple):
 
     encoder: Encoder
     mask: Mask
+    region: Array  # [H, W] bool
     policies: dict[str, Policy]  # by method
 
 
@@ -64,16 +68,17 @@ def deconfound(
     """
     methods = masking() if methods is None else methods
     # What a later step would refuse, before minutes are spent on the first.
-    _check_cloning(methods, demos, known, clone, {"encoder", "mask"})
+    _check_cloning(methods, demos, known, clone, {"encoder", "mask", "region"})
     _check_masking(demos, mask)
     checks.array("exploration", exploration, "[n, ...]", (None, *demos.images.shape[2:]), "uint8")
     exploration = jnp.asarray(exploration)
     held_out = np.arange(len(exploration)) % 10 == 9
     encoder = learn_latents(exploration[~held_out], exploration[held_out], key, disentangle, watch)
     found = mask_latents(encoder, demos, mask)
-    evidence = known._replace(encoder=encoder, mask=found.mask)
+    region = find_region(encoder, found.mask, exploration, key)
+    evidence = known._replace(encoder=encoder, mask=found.mask, region=region)
     policies = {name: clone_policy(name, demos, evidence, key, clone, watch) for name in methods}
-    return Deconfounded(encoder, found, policies)
+    return Deconfounded(encoder, found, region, policies)
 
 
 def learn_latents(
@@ -186,4 +191,7 @@ def _check_cloning(
         latents = len(evidence.encoder.active)
         if evidence.mask is not None:
             checks.array("mask", evidence.mask, f"[{latents}]", (latents,), "bool")
+    if evidence.region is not None:
+        height, width = size = demos.images.shape[2:4]
+        checks.array("region", evidence.region, f"[{height}, {width}]", size, "bool")
     config.total_steps(imitated(demos.lengths, config))

@@ -1,6 +1,7 @@
 """The methods, a row each: what a policy is cloned on, what that takes, and by which loss.
 
-The paper's are one `clone` on different views of the same frames (Section V-B). Everything that
+They are one `clone` on different views of the same frames (Section V-B). Inpainted is ours, the
+others are the paper's. Everything that
 goes by method follows from this table: order and colours, what is cloned and driven, what depends
 on what. To add one, add a row; nothing else names a method.
 """
@@ -18,7 +19,7 @@ from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations, View
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import Objective, Training
-from jaxdeconf.views import covered, identity, reconstructed, shown
+from jaxdeconf.views import covered, identity, inpainted, reconstructed, shown
 
 
 class Evidence(NamedTuple):
@@ -26,6 +27,7 @@ class Evidence(NamedTuple):
 
     encoder: Encoder | None = None
     mask: Array | None = None  # [O] bool, True where a latent is masked
+    region: Array | None = None  # [H, W] bool, True where masked latents reach; see `find_region`
     # Image [H, W, 3] in [0, 1] -> the same with the nuisance covered: by who knows where it is.
     cover: Callable[[Array], Array] | None = None
     # States [n, S] -> what the expert would do in them, over the limit [n, A].
@@ -37,7 +39,7 @@ def given(demos: Demos, _: Evidence) -> Demos:
     return demos
 
 
-Need = Literal["encoder", "mask", "cover", "expert", "previous_actions"]
+Need = Literal["encoder", "mask", "region", "cover", "expert", "previous_actions"]
 
 
 class Method(NamedTuple):
@@ -125,6 +127,13 @@ def _masked(evidence: Evidence) -> tuple[View, Any]:
     return _kept(evidence.encoder, evidence.encoder.active & ~jnp.asarray(evidence.mask))
 
 
+def _inpainted(evidence: Evidence) -> tuple[View, Any]:
+    assert evidence.encoder is not None
+    _, parameters = _masked(evidence)
+    parameters["region"] = jnp.asarray(evidence.region)
+    return inpainted(evidence.encoder.network), parameters
+
+
 def _unmasked(evidence: Evidence) -> tuple[View, Any]:
     assert evidence.encoder is not None
     return _kept(evidence.encoder, evidence.encoder.active)
@@ -142,6 +151,11 @@ METHODS: dict[str, Method] = {
         _masked,
         "Reconstructed by the β-VAE without the latents that Algorithm 1 masked.",
         needs=("encoder", "mask"),
+    ),
+    "Inpainted": Method(
+        _inpainted,
+        "The frames as they are, but where the masked latents reach: there as Masked sees them.",
+        needs=("encoder", "mask", "region"),
     ),
     "Reconstructed": Method(
         _unmasked,

@@ -52,6 +52,26 @@ def reconstructed(config: vae.VAEConfig) -> View:
     return view
 
 
+@cache
+def inpainted(config: vae.VAEConfig) -> View:
+    """Frames as they are, but for a region, which is drawn as `reconstructed` draws it.
+
+    Its parameters are those, and {"region": [H, W] bool}.
+    """
+    redrawn = reconstructed(config)
+
+    def view(parameters: Variables, images: Array) -> Array:
+        return jnp.where(parameters["region"][..., None], redrawn(parameters, images), images)
+
+    return view
+
+
+@partial(jax.jit, static_argnames="view")
+def see(view: View, parameters: Any, images: Array) -> Array:
+    """What a view makes of uint8 images [n, H, W, 3], a batch at a time."""
+    return jax.lax.map(lambda image: view(parameters, image[None])[0], images, batch_size=256)
+
+
 def shown(demos: Demos, view: View, parameters: Any, steps: int | None) -> Demonstrations:
     """The first steps of each episode, as a view shows them; None is all."""
     images = _through(view, parameters, jnp.asarray(demos.images[:, :steps]))

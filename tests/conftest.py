@@ -19,7 +19,7 @@ SMOKE = (
     *("--disentangle.network.channels", "4", "4", "--disentangle.chunk", "4"),
     *("--clone.network.stages", "1", "--clone.chunk", "4"),
 )
-# Reconstructed takes Masked's way.
+# Reconstructed and Inpainted take Masked's way.
 METHODS = ("--methods", "BcVanilla", "BcManual", "Masked")
 
 

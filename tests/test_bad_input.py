@@ -34,6 +34,7 @@ from jaxdeconf.nets import vae
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.pipeline.config import Config, fitting
+from jaxdeconf.region import find_region
 from jaxdeconf.systems.rollout import Trajectories, random_trajectories, rollout
 from jaxdeconf.views import identity
 from jaxdeconf.vision.nuisance import ColorSquare
@@ -61,6 +62,7 @@ CLONE = CloneConfig(batch_size=4, network=RESNET)
 SHAPES = jax.eval_shape(lambda: vae.init(VAE, KEY, (16, 24)))
 VARIABLES = jax.tree.map(lambda leaf: np.zeros(leaf.shape, np.float32), SHAPES)
 ENCODER = Encoder(VAE, VARIABLES, jnp.ones(3), jnp.ones(3, bool))
+NONE = np.zeros(3, bool)
 OTHER_SIZE = replace(DEMOS, images=np.zeros((7, 3, 32, 24, 3), np.uint8))
 
 
@@ -212,6 +214,10 @@ BAD = [
     ("reaction_horizon", "2", lambda: mask_latents(ENCODER, ragged(), MaskConfig(2))),
     ("episodes in demos", "4", lambda: mask_latents(ENCODER, episodes(4))),
     ("images", "32 × 24", lambda: mask_latents(ENCODER, OTHER_SIZE)),
+    ("mask", "bool of shape (2,)", lambda: find_region(ENCODER, NONE[:2], FRAMES, KEY)),
+    ("images", "float64", lambda: find_region(ENCODER, NONE, FRAMES / 255, KEY)),
+    ("images", "32 × 24", lambda: find_region(ENCODER, NONE, OTHER_SIZE.images[:, 0], KEY)),
+    ("region", "shape (3,)", lambda: clone("BcVanilla", DEMOS, Evidence(region=NONE))),
     ("methods", "'Bc'", lambda: clone("Bc", DEMOS, Evidence())),
     ("methods", "['BcVanilla']", lambda: clone(["BcVanilla"], DEMOS, Evidence())),
     ("methods", "'BcManual'", lambda: clone("BcManual", DEMOS, Evidence(ENCODER))),

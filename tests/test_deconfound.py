@@ -22,6 +22,7 @@ from jaxdeconf.mask import Mask, MaskConfig
 from jaxdeconf.methods import METHODS, Evidence, Method, imitated
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
+from jaxdeconf.region import find_region
 from jaxdeconf.views import identity, shown
 
 KEY = jax.random.key(0)
@@ -142,6 +143,12 @@ def test_what_the_policies_are_shown(watched):
     assert differ["BcManual"] == 0
     assert differ["Reconstructed"] > 150
     assert differ["Masked"] < 20
+    assert differ["Inpainted"] < 20
+
+
+def test_the_region_covers_the_nuisance(watched):
+    """So short a training leaves traces of it in other latents: the region may be the whole."""
+    assert watched[0].region[:5, :5].all()
 
 
 def test_it_is_the_three_steps_one_by_one(watched, demos, exploration):
@@ -149,9 +156,10 @@ def test_it_is_the_three_steps_one_by_one(watched, demos, exploration):
     held_out = np.arange(400) % 10 == 9
     encoder = learn_latents(images[~held_out], images[held_out], KEY, LATENTS)
     mask = mask_latents(encoder, demos, HORIZON)
-    evidence = Evidence(encoder, mask.mask)
-    policy = clone_policy("Masked", demos, evidence, KEY, CLONE)
-    for a, b in ((encoder, found.encoder), (mask, found.mask), (policy, found.policies["Masked"])):
+    region = find_region(encoder, mask.mask, images, KEY)
+    policy = clone_policy("Inpainted", demos, Evidence(encoder, mask.mask, region), KEY, CLONE)
+    both = (encoder, found.encoder), (mask, found.mask), (policy, found.policies["Inpainted"])
+    for a, b in both:
         assert jax.tree.all(jax.tree.map(lambda a, b: np.array_equal(a, b), a, b))
 
 
@@ -161,7 +169,7 @@ def test_by_default_those_that_need_a_mask_are_cloned(demos, exploration, watche
 
     configs = {"disentangle": LATENTS, "mask": HORIZON, "clone": CLONE}
     found = deconfound(demos, exploration[0], KEY, watch=skip, **configs)
-    assert tuple(found.policies) == ("Masked",)
+    assert tuple(found.policies) == ("Masked", "Inpainted")
     assert jax.tree.all(jax.tree.map(np.array_equal, found.encoder, watched[0].encoder))
 
 

@@ -22,7 +22,7 @@ FLOORS = {
     "mask": 4,
     "leakage": 5,
     **dict.fromkeys(["views", "evaluate"], 5),
-    "methods": 6,
+    **dict.fromkeys(["methods", "region"], 6),
     "deconfound": 7,
     "pipeline": 8,
     "presets": 9,

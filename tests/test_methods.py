@@ -35,6 +35,7 @@ def evidence(variables):
     return Evidence(
         Encoder(CONFIG, variables, jnp.ones(3), ACTIVE),
         MASK,
+        jnp.zeros((64, 64), bool),
         SYSTEM.nuisance.cover,
         lambda states: states[:, :1],
     )
@@ -70,7 +71,7 @@ def test_a_method_makes_its_view_of_what_it_needs_alone(name, evidence):
 
 def test_what_is_available_is_what_is_there(evidence):
     assert methods.available(DEMOS, Evidence()) == set()
-    assert methods.available(DEMOS, evidence) == {"encoder", "mask", "cover", "expert"}
+    assert methods.available(DEMOS, evidence) == {"encoder", "mask", "region", "cover", "expert"}
     told = Demos(DEMOS.images, DEMOS.actions, DEMOS.initial_states, None, DEMOS.actions)
     assert methods.available(told, Evidence(mask=MASK)) == {"mask", "previous_actions"}
 
@@ -85,6 +86,6 @@ def test_a_method_is_refused_for_the_first_need_that_is_not_met():
 
 
 def test_those_that_need_a_mask_are_read_off_the_table(monkeypatch):
-    assert methods.masking() == ("Masked",)
+    assert methods.masking() == ("Masked", "Inpainted")
     monkeypatch.setitem(METHODS, "Mine", METHODS["BcVanilla"]._replace(needs=("expert", "mask")))
-    assert methods.masking() == ("Masked", "Mine")
+    assert methods.masking() == ("Masked", "Inpainted", "Mine")

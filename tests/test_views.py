@@ -61,6 +61,15 @@ def test_a_masked_reconstruction_does_not_depend_on_a_masked_latent(images, vari
     assert (nothing == nothing[0]).all()
 
 
+def test_only_a_region_is_reconstructed(images, variables):
+    region = np.zeros((64, 64), bool)
+    region[10:20, 5:40] = True
+    parameters = {"variables": variables, "keep": jnp.array([True, False, True])}
+    drawn = views.see(views.reconstructed(CONFIG), parameters, images)
+    seen = views.see(views.inpainted(CONFIG), {**parameters, "region": region}, images)
+    np.testing.assert_array_equal(seen, np.where(region[..., None], drawn, images))
+
+
 def test_the_same_view_is_the_same_static_argument():
     assert views.reconstructed(CONFIG) is views.reconstructed(VAEConfig((2,), 3, norm="none"))
     assert views.covered(SYSTEM.nuisance.cover) is views.covered(SYSTEM.nuisance.cover)

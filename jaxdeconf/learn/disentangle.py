@@ -208,7 +208,12 @@ def decode(
     config: vae.VAEConfig, variables: Variables, latents: Array, size: tuple[int, int]
 ) -> Array:
     """Uint8 images [n, H, W, 3] of latents [n, O]; size is (H, W)."""
-    return raster.quantize(vae.decode(config, variables, latents, size, train=False)[0])
+
+    def one(latents: Array) -> Array:
+        drawn, _ = vae.decode(config, variables, latents[None], size, train=False)
+        return raster.quantize(drawn[0])
+
+    return jax.lax.map(one, latents, batch_size=_ENCODE_BATCH)
 
 
 @jax.jit

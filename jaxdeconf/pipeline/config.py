@@ -59,7 +59,7 @@ def fitting(config: Config, system: System) -> System:
     checks.integer("reaction_horizon", config.mask.reaction_horizon, most=system.steps)
     lengths = np.full(config.collect.expert_trajectories, system.steps)
     config.clone.total_steps(imitated(lengths, config.clone))
-    met = {"encoder", "mask", "expert", "previous_actions"}
+    met = {"encoder", "mask", "region", "expert", "previous_actions"}
     for name in config.methods:
         require(name, met | ({"cover"} if hasattr(system.nuisance, "cover") else set()))
     return system

@@ -4,7 +4,6 @@ Shapes: O latents, A action, T time, n frames, V values.
 """
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -29,7 +28,7 @@ from jaxdeconf.pipeline.results import (
 )
 from jaxdeconf.systems import System, Trajectories
 from jaxdeconf.systems.rollout import frames
-from jaxdeconf.views import covered, identity, reconstructed
+from jaxdeconf.views import covered, identity, reconstructed, see
 
 # Frames that train, and that test, the regression of leakage: its time is cubic in them.
 _JUDGE_FRAMES = 1500
@@ -167,6 +166,7 @@ def leaked(trial: Trial, view: View, parameters: Any) -> Array:
 def pictures(
     trial: Trial,
     encoder: Encoder,
+    region: Array,
     policies: Mapping[str, Policy],
     driven: Mapping[str, Trajectories],
 ) -> Pictures:
@@ -190,16 +190,11 @@ def pictures(
         strips={name: np.asarray(strip) for name, strip in {"Frame": images, **strips}.items()},
         traversals=_traversals(encoder, system.size),
         traversal_values=_TRAVERSAL,
+        region=np.asarray(region),
         rollouts={name: np.asarray(frames(system, one)) for name, one in shown.items()},
         alive={name: np.asarray(one.valid) for name, one in shown.items()},
         dt=system.dt,
     )
-
-
-@partial(jax.jit, static_argnames="view")
-def see(view: View, parameters: Any, images: Array) -> Array:
-    """What a view makes of uint8 images [n, H, W, 3], a batch at a time."""
-    return jax.lax.map(lambda image: view(parameters, image[None])[0], images, batch_size=256)
 
 
 def _traversals(encoder: Encoder, size: tuple[int, int]) -> np.ndarray:

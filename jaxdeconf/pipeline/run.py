@@ -26,6 +26,7 @@ from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.results import Judged, OutcomeForm, PValues, Results, finished, save
 from jaxdeconf.pipeline.stages import Run
 from jaxdeconf.pipeline.store import Store, writing
+from jaxdeconf.region import find_region
 from jaxdeconf.systems import System
 
 
@@ -63,7 +64,8 @@ def run(
     collected = this.stage("collect", lambda: collect_for(config, system, this.key))
     trial = judge.trial(system, this.key, collected)
     encoder, mask = deconfounded(this, trial)
-    evidence = evidence_for(config, system, encoder, mask.mask)
+    region = find_region(encoder, mask.mask, trial.held_out.images, this.key)
+    evidence = evidence_for(config, system, encoder, mask.mask, region)
     demos = demonstrations_for(config, system, collected)
 
     def drive(policy) -> list[float]:
@@ -83,8 +85,8 @@ def run(
             judged[name], driven[name] = judge.judge_policy(trial, policy, history[-1][1], curve)
             bar.update(1, f"rollout loss {judged[name].rollout_loss.mean:.3g}")
         this.interruption.check()
-    found = _results(this, trial, encoder, mask, judged)
-    pictures = judge.pictures(trial, encoder, policies, driven)
+    found = _results(this, trial, encoder, mask, region, judged)
+    pictures = judge.pictures(trial, encoder, region, policies, driven)
     found.seconds["judge"] = time.perf_counter() - begin
     with writing(directory):
         save(directory, found, pictures)
@@ -112,13 +114,15 @@ def demonstrations_for(config: Config, system: System, collected: Collected) -> 
     return collect.demonstrations(system, collected.expert, config.clone.trajectory_steps)
 
 
-def evidence_for(config: Config, system: System, encoder: Encoder, mask: Array) -> Evidence:
+def evidence_for(
+    config: Config, system: System, encoder: Encoder, mask: Array, region: Array
+) -> Evidence:
     """What a method may be made from; a simulator knows all there is."""
 
     def expert(states: Array) -> Array:
         return plan(system, states, config.expert).actions[:, 0] / system.limits
 
-    return Evidence(encoder, mask, getattr(system.nuisance, "cover", None), expert)
+    return Evidence(encoder, mask, region, getattr(system.nuisance, "cover", None), expert)
 
 
 def visits(config: Config, demos: Demos) -> tuple[int, ...]:
@@ -129,7 +133,7 @@ def visits(config: Config, demos: Demos) -> tuple[int, ...]:
 
 
 def _results(
-    this: Run, trial: Trial, encoder: Encoder, mask: Mask, judged: dict[str, Judged]
+    this: Run, trial: Trial, encoder: Encoder, mask: Mask, region: Array, judged: dict[str, Judged]
 ) -> Results:
     config, system = this.config, this.system
     latents = judge.judge_latents(trial, encoder)
@@ -144,6 +148,7 @@ def _results(
         statistic=config.mask.statistic,
         threshold=float(mask.threshold),
         mask=np.asarray(mask.mask),
+        region=float(region.mean()),
         state_observation=np.asarray(mask.state_observation),
         state_action=np.asarray(mask.state_action),
         p_values=PValues(np.asarray(mask.p_state_observation), np.asarray(mask.p_state_action)),

@@ -187,6 +187,15 @@ def frames(_: Results, pictures: Pictures) -> Figure | None:
     return contact_sheet(np.stack([*views.values()]), [*views]) if views else None
 
 
+def region(_: Results, pictures: Pictures) -> Figure | None:
+    """The pixels that the masked latents reach, in the same moments; all others are faded."""
+    if not pictures.region.any() or "Frame" not in pictures.strips:
+        return None
+    frames = pictures.strips["Frame"]
+    faded = np.where(pictures.region[..., None], frames, 255 - (255 - frames) // 5)
+    return contact_sheet(faded[None], ["region"])
+
+
 def traversals(results: Results, pictures: Pictures) -> Figure | None:
     """What each latent draws: it alone moves, all others at their prior mean."""
     if not pictures.traversals.size:
@@ -235,4 +244,4 @@ def contact_sheet(
     return figure
 
 
-FIGURES = (rollouts, rollout_loss, dependence, frames, traversals)
+FIGURES = (rollouts, rollout_loss, dependence, frames, region, traversals)

@@ -25,7 +25,7 @@ from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.results import Judged, Losses, Row
-from jaxdeconf.pipeline.run import demonstrations_for, evidence_for
+from jaxdeconf.pipeline.run import demonstrations_for
 from jaxdeconf.pipeline.stages import finite
 from jaxdeconf.sweep.batch import Job, Trained
 from jaxdeconf.sweep.grid import Point
@@ -37,6 +37,7 @@ from jaxdeconf.sweep.shared import (
     data_of,
     digest,
     encoder_name,
+    evidence_of,
     find_masks,
     train,
     train_encoders,
@@ -149,15 +150,12 @@ def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, 
     """What a point's method depends on, and its training."""
     config, method = point.config, METHODS[name]
     run, trial = data_of(work, config)
-    encoder = work.encoders[encoder_name(config)]
-    assert encoder is not None  # it has a mask
-    evidence = evidence_for(config, run.system, encoder.encoder, jnp.asarray(found))
     lengths = np.asarray(trial.collected.expert.valid).sum(axis=1)
     training = cloning(
         method,
         lambda: demonstrations_for(config, run.system, trial.collected),
         imitated(lengths, config.clone),
-        evidence,
+        evidence_of(work, config, found),
         run.key,
         config.clone,
     )

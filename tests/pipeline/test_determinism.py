@@ -41,6 +41,7 @@ ALONE = {
     "VAE initial weights",
     "VAE training",
     "nuisance share",
+    "region",
 }
 
 

@@ -44,6 +44,7 @@ def run_of(seed: int = 0, losses: dict[str, float] = LOSSES, **changes) -> Resul
         statistic="hoeffding",
         threshold=1e-3,
         mask=np.array([False, False, True, False, True, True]),
+        region=0.04,
         state_observation=state_observation,
         state_action=10.0 ** rng.uniform(-3.5, -0.8, (STATES, HORIZON, 1)),
         p_values=PValues(rng.uniform(0, 1, (STATES, LATENTS)), np.full((STATES, HORIZON, 1), 1e-5)),
@@ -81,6 +82,7 @@ def pictures_of(height: int = 64, width: int = 64, names=tuple(LOSSES), steps=ST
         strips={name: shown[:30:3] for name in ("Frame", "BcManual", "Masked", "Reconstructed")},
         traversals=grid,
         traversal_values=np.linspace(-2, 2, VALUES),
+        region=np.indices((height, width)).max(axis=0) < height // 5,
         rollouts={name: shown for name in ("Expert", *names)},
         alive={
             name: np.arange(steps) < FALLEN if name in names[:1] else alive

@@ -23,8 +23,15 @@ from jaxdeconf.presets import PRESETS
 from jaxdeconf.report import animation, canvas, figures, words
 from jaxdeconf.report.run import averaged, redraw, write_report, write_summary
 
-FIGURES = {"rollouts.gif", "rollout_loss.png", "dependence.png", "frames.png", "traversals.png"}
-NOTHING = {"rollouts": {}, "alive": {}, "strips": {}, "traversals": np.zeros((0, 0, 4, 4, 3))}
+PICTURES = ("rollout_loss", "dependence", "frames", "region", "traversals")
+FIGURES = {"rollouts.gif", *(f"{name}.png" for name in PICTURES)}
+NOTHING = {
+    "rollouts": {},
+    "alive": {},
+    "strips": {},
+    "traversals": np.zeros((0, 0, 4, 4, 3)),
+    "region": np.zeros((4, 4), bool),
+}
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +58,7 @@ def test_figures_are_images_of_the_expected_size(written: Path):
     sizes = {name: size_of(written / "figures" / name) for name in FIGURES}
     # Two pixels a pixel, gutters, and the labels.
     assert sizes["frames.png"] == (190 + 10 * 134 - 6 + 8, 8 + 4 * 134 - 6 + 8)
+    assert sizes["region.png"] == (190 + 10 * 134 - 6 + 8, 8 + 134 - 6 + 8)
     assert sizes["traversals.png"] == (190 + 5 * 134 - 6 + 8, 64 + 6 * 134 - 6 + 8)
     assert sizes["rollouts.gif"] == (4 * (3 * 64 + 8) + 8, 34 + 3 * 64 + 26)
     assert sizes["rollout_loss.png"] == (1020, 585)
@@ -83,6 +91,15 @@ def test_contact_sheet_keeps_every_pixel(written: Path, pictures):
     inside = frame.repeat(2, axis=0).repeat(2, axis=1)[4:-4, 4:-4]  # within the thin outline
     x, y = 190 + 3 * 134 + 4, 8 + 4
     np.testing.assert_array_equal(sheet[y : y + 120, x : x + 120], inside)
+
+
+def test_all_but_the_region_is_faded(written: Path, pictures):
+    with Image.open(written / "figures" / "region.png") as image:
+        sheet = np.asarray(image.convert("RGB"))[8:, 190 + 3 * 134 :][2:126:2, 2:126:2]
+    frame = pictures.strips["Frame"][3][1:63, 1:63]  # within the thin outline
+    inside = pictures.region[1:63, 1:63]
+    np.testing.assert_array_equal(sheet[inside], frame[inside])
+    np.testing.assert_allclose(sheet[~inside], 255 - (255.0 - frame[~inside]) / 5, atol=1)
 
 
 def test_gif_shows_every_step_in_real_time(written: Path):
@@ -143,6 +160,7 @@ def test_page_says_what_was_found(written: Path):
     text = text_of(written)
     for phrase in (
         "Of 6 latents, 4 are active; of these, Algorithm 1 masked o₃ (γ = 0.001).",
+        "The masked latents reach 4 % of the image's pixels.",
         "The previous action explains 97 % of o₃ (|Spearman| 0.99): it is the nuisance's.",
         "Masked's rollout loss is 1.15 times BcManual's.",
         "BcVanilla's rollout loss is 7.00 times BcManual's.",
@@ -189,6 +207,7 @@ def test_what_is_not_finite_is_not_compared(make):
             "explains 1 % of o₁ (|Spearman| 0.03): it is not the nuisance's alone.",
         ),
         ({"mask": [False, True, True, False, False, False]}, "explains 0 % of o₂ (|Spearman|"),
+        ({"region": 1.0}, "The masked latents reach all pixels: their reach is not local."),
         ({"mask": [False] * 6}, "The nuisance's o₃ was kept."),
         ({"nuisance_share": [0.5] * 6}, "The previous action explains 90 % of no active latent"),
         ({"nuisance_share": [0.5] * 6}, "also shows in o₁, o₂, o₃ and o₄: the previous action"),
@@ -401,7 +420,7 @@ def test_redraw_writes_what_was_written(make, brief, tmp_path: Path):
         for file in tmp_path.rglob("*")
         if file.suffix in (".html", ".png", ".gif")
     }
-    assert len(files) == 2 * 6 + 2
+    assert len(files) == 2 * (1 + len(FIGURES)) + 2
     for file in files:
         file.unlink()
     said = redraw(tmp_path)
