@@ -11,7 +11,6 @@ another's.
 import contextlib
 import hashlib
 import json
-import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -91,21 +90,18 @@ class Store:
           notes: values for JSON, beside it.
           made_from: what it follows from: names, and fingerprints as of `checkpoint`.
         Raises:
-          WriteError: if the disk does not take it; what was saved before is still there.
+          WriteError: if the disk does not take it, or not give it back; what was saved before is
+            still there.
         """
         about = {
             "run": self._identity,
-            "fingerprint": checkpoint.fingerprint(state),
             "made_from": dict(made_from),
             "notes": to_plain(notes),
         }
         folder = self._folder(stage) / str(step)
         try:
             checkpoint.write(folder, state, about)
-        except (OSError, ValueError) as error:
-            # Orbax wraps what the system said in a ValueError, and raises others for its own use.
-            if isinstance(error, ValueError) and not _SYSTEM.search(_words(error)):
-                raise
+        except OSError as error:
             raise _write_error(self._home, folder, error) from error
         self.saved_at = time.monotonic()
 
@@ -134,8 +130,6 @@ class Store:
                 if about["made_from"].get(name) != now:
                     raise ValueError(f"made from another {name} than is there now")
             state = checkpoint.read_state(folder, like)
-            if checkpoint.fingerprint(state) != about["fingerprint"]:
-                raise ValueError("its arrays are not of the types that were saved")
         except UNREADABLE as error:
             raise StoreError(
                 f"{folder}: not a checkpoint of this run ({cause(error)}); "
@@ -172,7 +166,7 @@ def writing(directory: Path) -> Iterator[None]:
 def _write_error(directory: Path, place: Path, error: Exception) -> WriteError:
     return WriteError(
         f"{place}: cannot be written ({cause(error)}); "
-        f"make room, then go on with --resume {directory}"
+        f"see to the disk, then go on with --resume {directory}"
     )
 
 
@@ -250,20 +244,10 @@ def write_config(directory: Path, config: Config) -> None:
     write_json(directory / "config.json", {"jaxdeconf": __version__, **to_plain(config)})
 
 
-_SYSTEM = re.compile(r": ([^:]*) \[os_error_code")  # what the system said, within Orbax's words
-
-
-def _words(error: Exception) -> str:
-    """What an error says; Orbax wraps the one that says what is wrong."""
-    inner = error.__cause__ or error
-    return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
-
-
 def cause(error: Exception) -> str:
     """An error in one line."""
-    words = _words(error)
-    system = _SYSTEM.search(words)
-    return system[1] if system else words.splitlines()[0]
+    words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return words.splitlines()[0]
 
 
 def differences(old: Any, new: Any, path: str = "") -> list[tuple[str, Any, Any]]:

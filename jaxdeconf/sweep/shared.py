@@ -90,7 +90,7 @@ def _encoder_stage(config: Config) -> str:
 def data_of(work: Work, config: Config) -> Data:
     """The trajectories of a config's points, loaded or collected once.
 
-    Of several processes each makes them, and none keeps them: Orbax saves only what all save.
+    Of several processes each makes them, and none keeps them: one cannot wait for another's.
     """
     name, base = data_name(config), work.sweep.base
     if name not in work.data:

@@ -1,6 +1,7 @@
 """A run directory: what comes back, and what it refuses."""
 
 import json
+import os
 from dataclasses import replace
 
 import jax
@@ -34,13 +35,44 @@ def test_what_is_saved_comes_back_with_its_types_and_notes(tmp_path):
 
 
 def test_what_comes_back_runs_the_programs_of_what_was_saved(tmp_path):
-    """Compiled once: what Orbax reads is committed to a device, and would be compiled for anew."""
+    """Compiled once: what is committed to a device would be compiled for anew."""
     doubled = jax.jit(lambda state: jax.tree.map(lambda leaf: 2 * leaf, state))
     store = Store(tmp_path, CONFIG, resume=False)
     doubled(state())
     store.save("train", 3, state(), {}, {})
     doubled(store.load("train", state, {})[0])
     assert doubled._cache_size() == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["lr[1e-3]", "a*b?", "back\\slash", "100% {#}", "two\nlines", os.fsdecode(b"\xff")]
+)
+def test_a_directory_may_have_any_name(tmp_path, name):
+    """Patterns, escapes, and what no encoding has."""
+    store = Store(tmp_path / name, CONFIG, resume=False)
+    for step in (3, 7):
+        store.save("train", step, state()._replace(step=jnp.int32(step)), {}, {})
+    loaded, _ = Store(tmp_path / name, CONFIG, resume=True).load("train", state, {})
+    assert int(loaded.step) == 7
+
+
+@pytest.mark.parametrize("damage", [lambda array: array + 1, lambda array: array[..., None]])
+def test_what_does_not_read_back_as_it_was_is_not_saved(tmp_path, monkeypatch, damage):
+    store = Store(tmp_path, CONFIG, resume=False)
+    store.save("train", 3, state(), {}, {})
+    savez = np.savez
+
+    def damaged(file, **arrays):
+        savez(file, **{name: damage(array) for name, array in arrays.items()})
+
+    monkeypatch.setattr(np, "savez", damaged)
+    with pytest.raises(WriteError, match=r"train/7: .*what was written does not read back"):
+        store.save("train", 7, state(), {}, {})
+    monkeypatch.setattr(np, "savez", lambda file, **_: file.write_bytes(b""))
+    with pytest.raises(WriteError, match=r"train/7: .*what was written does not read back"):
+        store.save("train", 7, state(), {}, {})
+    assert [path.name for path in (tmp_path / "checkpoints/train").iterdir()] == ["3"]
+    assert store.load("train", state, {}) is not None
 
 
 def test_the_config_comes_back_as_it_was(tmp_path):
@@ -112,7 +144,7 @@ def test_a_disk_that_is_full_is_said_to_be(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(checkpoint, "write", full)
-    with pytest.raises(WriteError, match=r"No space left on device\); make room"):
+    with pytest.raises(WriteError, match=r"No space left on device\); see to the disk"):
         store.save("train", 3, state(), {}, {})
 
 
