@@ -26,7 +26,7 @@ from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.run import collect_for
 from jaxdeconf.pipeline.stages import Run, finite
-from jaxdeconf.pipeline.store import Nowhere, Store
+from jaxdeconf.pipeline.store import Nowhere, Store, free
 from jaxdeconf.sweep.batch import Job, Trained, train_all
 from jaxdeconf.sweep.grid import Point
 from jaxdeconf.sweep.log import Log, Sweep
@@ -100,8 +100,7 @@ def data_of(work: Work, config: Config) -> Data:
         if jax.process_count() > 1:
             store = Nowhere()
         else:
-            begun = (folder / "config.json").is_file()
-            store = Store(folder, own, begun, home=work.log.directory)
+            store = Store(folder, own, not free(folder), home=work.log.directory)
         system = fitting(own, work.system)
         run = Run(own, system, store, work.reporter, work.interruption)
         collected = run.stage("collect", lambda: collect_for(own, system, run.key))

@@ -12,7 +12,7 @@ import pytest
 from jaxdeconf.learn.fit import start
 from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.pipeline.plain import write_json
-from jaxdeconf.pipeline.store import Store, StoreError, WriteError, read_config
+from jaxdeconf.pipeline.store import Store, StoreError, WriteError, free, read_config
 from jaxdeconf.presets import PRESETS
 
 CONFIG = PRESETS["cartpole"]["smoke"]
@@ -164,3 +164,38 @@ def test_a_run_of_the_version_before_is_refused_in_one_line(tmp_path):
     with pytest.raises(StoreError, match=words) as error:
         read_config(tmp_path)
     assert "\n" not in str(error.value)
+
+
+def test_a_run_goes_on_in_the_precision_that_it_was_begun_with(tmp_path):
+    Store(tmp_path, CONFIG, resume=False).save("train", 3, state(), {}, {})
+    file = tmp_path / "config.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"x64": True}))
+    words = r"config.json: a run begun with JAX_ENABLE_X64=1, which is 0 now; go on with what "
+    with pytest.raises(StoreError, match=words) as error:
+        Store(tmp_path, CONFIG, resume=True)
+    assert "delete" not in str(error.value)
+
+
+def test_a_start_that_saved_nothing_leaves_no_claim(tmp_path):
+    """Another config takes its place, also after a kill in the first save."""
+    Store(tmp_path, CONFIG, resume=False)
+    killed = tmp_path / "checkpoints" / "collect" / "0.partial"
+    killed.mkdir(parents=True)
+    (killed / "arrays.npz").write_bytes(b"half")
+    assert free(tmp_path)
+    other = replace(CONFIG, seed=9)
+    store = Store(tmp_path, other, resume=False)
+    assert read_config(tmp_path) == other
+    store.save("collect", 0, state(), {}, {})
+    assert not free(tmp_path)
+    with pytest.raises(StoreError, match="holds a run; use --resume"):
+        Store(tmp_path, CONFIG, resume=False)
+
+
+@pytest.mark.parametrize("name", ["config.json", "notes.txt", "deep/er/file"])
+def test_a_file_of_ones_own_is_no_claim_of_ours(tmp_path, name):
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / name).write_text('{"mine": 1}')
+    with pytest.raises(StoreError, match=r"holds a run|is no run's"):
+        Store(tmp_path, CONFIG, resume=False)
+    assert (tmp_path / name).read_text() == '{"mine": 1}'
