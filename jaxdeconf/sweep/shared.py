@@ -146,8 +146,8 @@ def train(work: Work, what: str, jobs: Sequence[Job]) -> Iterator[list[Trained]]
     total = first.config.total_steps(first.samples) * len(jobs)
     with work.reporter.bar(f"{what} × {len(jobs)}", total) as bar:
 
-        def progress(done: int) -> None:
-            bar.update(done, "model-steps")
+        def progress(done: int, loss: float) -> None:
+            bar.update(done, f"mean loss {loss:.4g}")
             work.interruption.check()
 
         yield from train_all(jobs, work.budget, progress)
