@@ -50,10 +50,15 @@ def owned(file: Path, take_over: bool = False) -> Iterator[None]:
 def _write(file: Path, text: str) -> bool:
     """Writes a file, and says whether; not if there is one."""
     try:
-        with file.open("x", encoding="utf-8") as new:
-            new.write(text)
+        new = file.open("x", encoding="utf-8")
     except FileExistsError:
         return False
+    try:
+        with new:
+            new.write(text)
+    except OSError:  # a full disk: a part of it would be taken for another machine's
+        file.unlink()
+        raise
     return True
 
 

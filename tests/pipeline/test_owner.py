@@ -134,6 +134,17 @@ def test_every_orderly_end_frees_the_directory(tmp_path, error):
     assert list(file.parent.iterdir()) == []
 
 
+def test_a_full_disk_keeps_no_part_of_a_file(tmp_path):
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        with owned(tmp_path / OWNER):
+            assert list(tmp_path.iterdir()) == []
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
 def test_who_was_taken_over_from_leaves_the_next_ones_file(tmp_path):
     with owned(tmp_path / OWNER):
         left_by_another = (tmp_path / OWNER).read_text().replace("since", "since ")
