@@ -6,7 +6,7 @@ falls; Masked, which was not told of it, drives like BcManual. The numbers are i
 
 import sys
 
-from jaxdeconf.commands.main import main
+from jaxdeconf_command import main
 
 if __name__ == "__main__":
     sys.exit(main(["cartpole", *sys.argv[1:]]))

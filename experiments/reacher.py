@@ -6,7 +6,7 @@ Masked's rollout loss is 1.4 times BcManual's, BcVanilla's 2.3 times. See docs/r
 
 import sys
 
-from jaxdeconf.commands.main import main
+from jaxdeconf_command import main
 
 if __name__ == "__main__":
     sys.exit(main(["reacher", *sys.argv[1:]]))

@@ -7,7 +7,7 @@ Minutes a model, fewer where points share; docs/sweep.md has one of 160 points i
 
 import sys
 
-from jaxdeconf.commands.main import main
+from jaxdeconf_command import main
 
 if __name__ == "__main__":
     sys.exit(main(["sweep", *sys.argv[1:]]))

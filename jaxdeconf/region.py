@@ -29,8 +29,7 @@ from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.views import inpainted, see
 
 _FRAMES = 2048  # of those that are given, at even distances
-# Mean squared change in grey levels of 255: where nothing of a scene moves, a decoder's own noise is
-# about one level.
+# Mean squared change, in grey levels of 255: a decoder's own noise is about one level.
 _FLOOR = 4.0
 # R² above that of whole reconstructions: chance alone brings about 0.01.
 _LEAK = 0.05

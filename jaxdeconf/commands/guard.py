@@ -29,7 +29,8 @@ def guarded(work: Callable[[Interruption], None], directory: Path) -> int:
         with interruption.listening(f"stopped at once; {advice}"):
             work(interruption)
     except Interrupted as stop:
-        print(f"interrupted; {advice}", file=sys.stderr)
+        begun = any(directory.glob("*.json"))  # config.json, or sweep.json
+        print("interrupted;", advice if begun else "nothing was begun", file=sys.stderr)
         return stop.exit_code
     except (ValueError, StoreError) as error:
         return complain(error, 2)

@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 
+from jaxdeconf.pipeline import store
 from jaxdeconf.pipeline.config import Config
 
 Arguments = TypeVar("Arguments")
@@ -18,12 +19,34 @@ Flags = Annotated[Config, tyro.conf.arg(name="")]
 
 
 @dataclass(frozen=True)
-class First:
+class Where:
+    """The directory of a run, or of a sweep."""
+
+    out: Path | None = None  # a new directory; runs/SYSTEM-PRESET-... by default
+    resume: Path | None = None  # go on with what is in this directory
+    resume_if_exists: bool = False  # go on with what is in --out; start if that is nothing
+    take_over: bool = False  # the directory, from a process on another machine that is gone
+
+    def __post_init__(self):
+        if self.out is not None and self.resume is not None:
+            raise ValueError(f"out: expected only one of --out and --resume, got {self.out}")
+        if self.resume_if_exists and self.out is None:
+            raise ValueError("resume_if_exists: expected --out beside it, got none")
+
+    @property
+    def held(self) -> Path | None:
+        """The directory to go on with, if it is not a start."""
+        if self.resume_if_exists and self.out is not None and store.held(self.out):
+            return self.out
+        return self.resume
+
+
+@dataclass(frozen=True)
+class First(Where):
     """What the other flags' defaults depend on."""
 
     preset: str = "laptop"
     system: str = "cartpole"
-    resume: Path | None = None
 
 
 def first(arguments: Sequence[str]) -> First:
@@ -32,12 +55,10 @@ def first(arguments: Sequence[str]) -> First:
     Raises:
       ValueError: one line that says what is wrong.
     """
-    wanted = ("--preset", "--system", "--resume")
-    found: list[str] = []
-    for place, word in enumerate(arguments):
-        if word.split("=")[0] in wanted:
-            found += arguments[place : place + 1 + ("=" not in word)]
-    return _quietly(lambda: tyro.cli(First, args=found, default=First()))
+    words = [word for word in arguments if word not in ("-h", "--help")]
+    return _quietly(
+        lambda: tyro.cli(First, args=words, default=First(), return_unknown_args=True)[0]
+    )
 
 
 def parse(

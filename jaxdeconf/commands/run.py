@@ -1,7 +1,7 @@
 """`jaxdeconf SYSTEM`: one run, or one a seed, from a preset and flags to its report."""
 
+import contextlib
 import dataclasses
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,29 +9,24 @@ from pathlib import Path
 
 from jaxdeconf import checks, systems
 from jaxdeconf.commands.guard import cache_compilations, complain, guarded
-from jaxdeconf.commands.parse import Flags, choose, first, parse
+from jaxdeconf.commands.parse import Flags, Where, choose, first, parse
 from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.pipeline.interruption import Interruption
-from jaxdeconf.pipeline.plain import write_json
-from jaxdeconf.pipeline.store import StoreError, read_config, reading, require_empty, writing
+from jaxdeconf.pipeline.owner import owned
+from jaxdeconf.pipeline.store import OWNER, StoreError, begin, begun, free, require_same, writing
 from jaxdeconf.systems import System
-
-SEEDS = "seeds.json"  # in a directory of several runs: which
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(Where):
     """What can be said on the command line."""
 
     config: Flags = field(default_factory=Config)
     seeds: int = 1  # how many runs, from --seed on; each in its own folder, with a summary beside
-    out: Path | None = None  # the run directory; runs/SYSTEM-PRESET-seedK by default
-    resume: Path | None = None  # go on with the run in this directory
 
     def __post_init__(self):
+        super().__post_init__()
         checks.integer("seeds", self.seeds, most=2**32 - self.config.seed)
-        if self.out is not None and self.resume is not None:
-            raise ValueError(f"out: expected only one of --out and --resume, got {self.out}")
 
 
 def main(
@@ -58,7 +53,12 @@ def main(
     except (ValueError, StoreError) as error:
         return complain(error, 2)
     directory = asked.resume or asked.out or _default_directory(asked)
-    return guarded(lambda interruption: _seeds(asked, known, directory, interruption), directory)
+
+    def work(interruption: Interruption) -> None:
+        with owned(directory / OWNER, asked.take_over):
+            _seeds(asked, known, directory, interruption)
+
+    return guarded(work, directory)
 
 
 def read(description: str, presets: Mapping[str, Config], words: Sequence[str]) -> Arguments:
@@ -68,30 +68,21 @@ def read(description: str, presets: Mapping[str, Config], words: Sequence[str]) 
       ValueError: one line that says what is wrong.
       StoreError: if there is no run to resume, or one of another system.
     """
-    begun = first(words)
-    default = choose(presets, begun.preset)
-    held = Arguments(default) if begun.resume is None else _held(begun.resume)
-    if held.config.system != default.system:
+    early = first(words)
+    place, default = early.held, choose(presets, early.preset)
+    config, seeds = (default, 1) if place is None else begun(place)
+    if config.system != default.system:
         raise StoreError(
-            f"{begun.resume}: a run of {held.config.system}, not of {default.system}; "
-            f"use jaxdeconf {held.config.system}"
+            f"{place}: a run of {config.system}, not of {default.system}; "
+            f"use jaxdeconf {config.system}"
         )
+    held = Arguments(config=config, seeds=seeds)
     asked = parse(Arguments, f"jaxdeconf {default.system}", description, words, held)
     if asked.config.system != default.system:
         raise ValueError(f"--system: expected {default.system}, got {asked.config.system!r}")
-    if begun.resume is not None and asked.seeds != held.seeds:
-        raise ValueError(f"--seeds: expected {held.seeds}, as was begun there, got {asked.seeds}")
+    if place is not None and asked.seeds != seeds:
+        raise ValueError(f"--seeds: expected {seeds}, as was begun there, got {asked.seeds}")
     return asked
-
-
-def _held(directory: Path) -> Arguments:
-    """What the run, or the runs, in a directory were asked for."""
-    if not (directory / SEEDS).exists():
-        return Arguments(read_config(directory))
-    with reading(directory / SEEDS, "run", "list of seeds"):
-        seeds = json.loads((directory / SEEDS).read_text())
-        begun = directory / f"seed-{seeds['first']}"
-        return Arguments(read_config(begun), seeds["count"])
 
 
 def _seeds(asked: Arguments, system: System, directory: Path, interruption: Interruption) -> None:
@@ -104,21 +95,23 @@ def _seeds(asked: Arguments, system: System, directory: Path, interruption: Inte
 
     cache_compilations()
     config, reporter, several, done = asked.config, Reporter(), asked.seeds > 1, []
-    if asked.resume is None:
-        require_empty(directory)
-    if several:
-        with writing(directory):
-            directory.mkdir(parents=True, exist_ok=True)
-            write_json(directory / SEEDS, {"first": config.seed, "count": asked.seeds})
+    held = asked.held is not None
+    if held:
+        require_same(directory, config)
+    else:
+        begin(directory, config, asked.seeds)
     for seed in range(config.seed, config.seed + asked.seeds):
         interruption.check()
         place = directory / f"seed-{seed}" if several else directory
-        resume = asked.resume is not None and (not several or (place / "config.json").is_file())
+        resume = held and not (several and free(place))
         one = dataclasses.replace(config, seed=seed)
-        done.append(run(one, system, place, reporter, resume, interruption))
-        if _is_older(place / "report.html", place / results.FILE):
-            with writing(directory):
-                write_report(place, *results.load(place))
+        # Somebody may go on with that seed alone.
+        alone = owned(place / OWNER, asked.take_over) if several else contextlib.nullcontext()
+        with alone:
+            done.append(run(one, system, place, reporter, resume, interruption))
+            if _is_older(place / "report.html", place / results.FILE):
+                with writing(directory):
+                    write_report(place, *results.load(place))
         print(summary(done[-1], place))
     if several:
         with writing(directory):

@@ -7,6 +7,7 @@ Prints a plan, does it, and leaves rows, a table and plots in the directory. Eve
 experiment (--clone.epochs 0.5, --methods ...) changes all points.
 """
 
+import contextlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,26 +19,25 @@ from jax.experimental import multihost_utils
 
 from jaxdeconf import checks, systems
 from jaxdeconf.commands.guard import cache_compilations, complain, guarded
-from jaxdeconf.commands.parse import Flags, choose, first, parse, parse_value
+from jaxdeconf.commands.parse import Flags, Where, choose, first, parse, parse_value
 from jaxdeconf.methods import masking
 from jaxdeconf.pipeline import machine
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.interruption import Interruption
-from jaxdeconf.pipeline.store import StoreError, require_empty
+from jaxdeconf.pipeline.owner import owned
+from jaxdeconf.pipeline.store import StoreError, require_free
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.sweep.grid import read_axis
 from jaxdeconf.sweep.log import Log, Sweep, read_sweep, require_same, write_sweep
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(Where):
     """What can be said on the command line."""
 
     config: Flags = field(default_factory=Config)
     grid: tuple[str, ...] = ()  # fields and their values, STAGE.FIELD=V,V
     seeds: int = 1  # how many, from --seed on
-    out: Path | None = None  # a new directory; runs/SYSTEM-PRESET-sweep by default
-    resume: Path | None = None  # go on with the sweep in this directory
     shard: str = "1/1"  # I/N: do the I-th of N parts of the points
     memory: float | None = None  # GB of a batch; half of what is free by default
     plan: bool = False  # print the plan and stop
@@ -47,12 +47,11 @@ class Arguments:
     num_processes: int | None = None  # how many there are
 
     def __post_init__(self):
+        super().__post_init__()
         if self.memory is not None:
             checks.positive("memory", self.memory)
         if self.devices is not None:
             checks.integer("devices", self.devices, most=1024)
-        if self.out is not None and self.resume is not None:
-            raise ValueError(f"out: expected only one of --out and --resume, got {self.out}")
 
 
 def main(arguments: Sequence[str], presets: Mapping[str, Mapping[str, Config]] = PRESETS) -> int:
@@ -82,20 +81,21 @@ def read(
       ValueError: one line that says what is wrong.
       StoreError: if there is no sweep to resume, or another one.
     """
-    begun = first(words)
-    checks.one_of("--system", begun.system, tuple(presets))
-    held = None if begun.resume is None else read_sweep(begun.resume)
+    early = first(words)
+    checks.one_of("--system", early.system, tuple(presets))
+    place = early.held
+    held = None if place is None else read_sweep(place)
     if held is None:
-        preset = choose(presets[begun.system], begun.preset)
-        default = Arguments(replace(preset, methods=masking()))
+        preset = choose(presets[early.system], early.preset)
+        default = Arguments(config=replace(preset, methods=masking()))
     else:
-        default = Arguments(held.base, seeds=held.seeds)
+        default = Arguments(config=held.base, seeds=held.seeds)
     asked = parse(Arguments, "jaxdeconf sweep", __doc__ or "", words, default)
     axes = tuple(read_axis(word, asked.config, parse_value) for word in asked.grid)
     sweep = Sweep(asked.config, held.axes if held and not axes else axes, asked.seeds)
     assert sweep.points  # every combination is a valid config, or this raises
-    if begun.resume is not None:
-        require_same(begun.resume, sweep)
+    if place is not None:
+        require_same(place, sweep)
     return asked, sweep
 
 
@@ -139,26 +139,24 @@ def _run(
         print(plan.describe(sweep, system, shard, budget), flush=True)
     if asked.plan:
         return
-    if alone:
-        _open(asked, sweep, log, shard)
-    if jax.process_count() > 1:  # the others read its rows
-        multihost_utils.sync_global_devices("opened")
-    rows = sweeping.sweep(sweep, log, Reporter(), interruption, budget, shard, system)
-    if alone:
-        print(write(log.directory, sweep, rows))
+    with owned(log.owner, asked.take_over) if alone else contextlib.nullcontext():
+        if alone:
+            _open(asked, sweep, log, shard)
+        if jax.process_count() > 1:  # the others read its rows
+            multihost_utils.sync_global_devices("opened")
+        rows = sweeping.sweep(sweep, log, Reporter(), interruption, budget, shard, system)
+        if alone:
+            print(write(log.directory, sweep, rows))
 
 
 def _open(asked: Arguments, sweep: Sweep, log: Log, shard: tuple[int, int]) -> None:
     """A new directory, one with the same sweep, or a StoreError."""
-    directory, whole = log.directory, shard == (1, 1)
-    held = (directory / "sweep.json").exists()
-    if held and whole and asked.resume is None:
-        raise StoreError(f"{directory}: holds a sweep; use --resume {directory}, or another --out")
-    if not held:
-        if whole:
-            require_empty(directory)
-        write_sweep(directory, sweep)  # or finds the one of another shard
-    require_same(directory, sweep)
+    if asked.held is None:
+        if shard == (1, 1):
+            require_free(log.directory)
+            (log.directory / "sweep.json").unlink(missing_ok=True)  # a start that saved nothing
+        write_sweep(log.directory, sweep)  # or finds the one of another shard
+    require_same(log.directory, sweep)
     log.mend()
 
 

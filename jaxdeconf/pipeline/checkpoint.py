@@ -1,15 +1,15 @@
-"""One checkpoint: a folder of arrays (Orbax) and notes (JSON), read back as written or not at all.
+"""One checkpoint: a folder of arrays (NumPy) and notes (JSON), read back as written or not at all.
 
-    STEP/arrays/      a pytree of arrays, as Orbax writes it
+    STEP/arrays.npz   the leaves of a pytree, by their paths in it
     STEP/notes.json   what belongs to it
-    STEP/SHA256SUMS   of every other file, as `sha256sum` writes it
+    STEP/SHA256SUMS   of both, as `sha256sum` writes it
 
-It is written beside its place and renamed: what stands there was whole. Nothing is pickled.
+It is written beside its place, read back, and renamed: what stands there was whole, and nothing is
+removed before. Nothing is pickled.
 """
 
 import hashlib
 import json
-import logging
 import os
 import shutil
 from pathlib import Path
@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdeconf.pipeline.plain import PARTIAL
+from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE
 
-_SUMS = "SHA256SUMS"
+_ARRAYS, _SUMS = "arrays.npz", "SHA256SUMS"
 
 
 def latest(stage: Path) -> Path | None:
@@ -38,15 +38,18 @@ def write(folder: Path, state: Any, notes: dict[str, Any]) -> None:
       state: a pytree of jax arrays.
       notes: plain values for JSON.
     Raises:
-      OSError, ValueError: if it cannot be written; what was there before still is.
+      OSError: if it cannot be written and read again; what was there before still is.
     """
     partial = folder.with_name(folder.name + PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)  # a killed run's
     try:
         partial.mkdir(parents=True)
-        _orbax().save(str(partial / "arrays"), state)
+        named: dict[str, Any] = _named(state)
+        np.savez(partial / _ARRAYS, **named)
         (partial / "notes.json").write_text(json.dumps(notes, indent=1) + "\n")
         (partial / _SUMS).write_text(_sums(partial))
+        if not _reads_back(partial, state):
+            raise OSError("what was written does not read back")
         os.rename(partial, folder)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
@@ -71,42 +74,40 @@ def read_notes(folder: Path) -> dict[str, Any]:
 
 
 def read_state(folder: Path, like: Any) -> Any:
-    """The arrays of a checkpoint, on the first device, in a tree of ShapeDtypeStructs.
+    """The arrays of a checkpoint, in a tree like another.
 
-    Orbax commits them to that device, and JAX compiles anew for what is committed: copied, they are
-    as if they had just been computed, so a resumed run finds the programs of the one before it.
+    Raises:
+      KeyError: if it has no array for one of its leaves.
     """
-    device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
-    like = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=device), like)
-    loaded = _orbax().load(str(folder / "arrays"), like)
-    return jax.tree.map(lambda a: jnp.array(np.asarray(a)), loaded)
+    with np.load(folder / _ARRAYS) as arrays:
+        return jax.tree_util.tree_map_with_path(
+            lambda path, _: jnp.array(arrays[jax.tree_util.keystr(path)]), like
+        )
 
 
 def fingerprint(state: Any) -> str:
     """SHA-256 of a pytree's names, types, shapes and values: equal for equal numbers."""
     digest = hashlib.sha256()
-    for path, leaf in jax.tree_util.tree_leaves_with_path(state):
-        array = np.ascontiguousarray(leaf)
-        digest.update(f"{jax.tree_util.keystr(path)} {array.dtype} {array.shape}\n".encode())
-        digest.update(array.data.cast("B") if array.size else b"")
+    for name, array in _named(state).items():
+        digest.update(f"{name} {array.dtype} {array.shape}\n".encode())
+        digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+def _named(state: Any) -> dict[str, np.ndarray]:
+    leaves = jax.tree_util.tree_leaves_with_path(state)
+    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
+
+
+def _reads_back(folder: Path, state: Any) -> bool:
+    try:
+        return fingerprint(read_state(folder, state)) == fingerprint(state)
+    except UNREADABLE:
+        return False
 
 
 def _sums(folder: Path) -> str:
     """`HASH  NAME` of every file in a folder but the list of them, by name."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != _SUMS)
-    lines = []
-    for path in files:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        lines.append(f"{digest}  {path.relative_to(folder).as_posix()}\n")
-    return "".join(lines)
-
-
-def _orbax():
-    # Orbax takes a second to import: only runs that save pay for it.
-    from orbax.checkpoint import v1 as ocp
-
-    # It narrates every save, and prints the stacks of the errors that it raises.
-    logging.getLogger("absl").setLevel(logging.CRITICAL)
-    return ocp
+    files = sorted(path for path in folder.iterdir() if path.name != _SUMS)
+    sums = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    return "".join(f"{digest}  {name}\n" for name, digest in sums.items())

@@ -6,9 +6,11 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Iterator
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_ONE = 0.5  # s in which signals count as one: a wrapper passes on what the terminal sent to all
 
 
 class Interrupted(Exception):
@@ -63,11 +65,11 @@ class Interruption:
         self.asked = self.asked or number
 
     def _listen(self, ear: socket.socket, last_words: str) -> None:
-        before = False
+        first = None
         while number := ear.recv(1):
-            if before:
-                print(last_words, file=sys.stderr, flush=True)
-                os._exit(128 + number[0])
             if number[0] in _SIGNALS:
-                before = True
                 self._ask(number[0])
+                first = first or time.monotonic()
+                if time.monotonic() - first > _ONE:
+                    print(last_words, file=sys.stderr, flush=True)
+                    os._exit(128 + number[0])

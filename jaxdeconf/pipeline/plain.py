@@ -18,7 +18,7 @@ import numpy as np
 
 # What reading a file that is not what it should be raises. Not MemoryError, nor XLA's own errors:
 # they say nothing of the file.
-UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile)
+UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile, EOFError)
 PARTIAL = ".partial"  # of a file that is being written
 
 

@@ -1,4 +1,4 @@
-"""A bar per stage on a terminal; nothing elsewhere."""
+"""A bar per stage on a terminal; elsewhere, in a batch's log say, a line as each stage ends."""
 
 import time
 from collections.abc import Iterator
@@ -35,7 +35,8 @@ class Bar:
             TimeRemainingColumn(compact=True, elapsed_when_finished=True),
             TextColumn("{task.fields[note]}"),
             console=console,
-            disable=not console.is_terminal,
+            # FORCE_COLOR makes a terminal of a file, for colours: not one to paint a bar on.
+            disable=not (console.is_terminal and console.file.isatty()),
         )
         self._task = self._progress.add_task(stage, total=total, completed=done, note="compiling")
 
@@ -43,8 +44,12 @@ class Bar:
         self._progress.start()
         return self
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, kind: type | None, *_: Any) -> None:
         self._progress.stop()
+        if kind is None and self._progress.disable:
+            (task,) = self._progress.tasks
+            said = ", ".join(filter(None, [f"{task.elapsed:.1f} s", task.fields["note"]]))
+            self._progress.console.out(f"{self._stage}: {said}", highlight=False)
 
     def update(self, done: int, note: str) -> None:
         """Sets the bar to `done` steps, with a note beside it."""

@@ -1,17 +1,18 @@
 """A run directory: its config, its checkpoints, and nothing that is not on disk.
 
     DIR/config.json                      what was asked for, and of which version of jaxdeconf
+    DIR/owner.json                       who works there now; see `owner`
     DIR/checkpoints/STAGE/STEP/          the latest state of each stage, and its notes
     DIR/results.json, report.html, ...   written at the end
 
 A checkpoint notes which run it belongs to and what it was made from, so that none is ever taken for
-another's.
+another's. Until the first one is there, the directory is free: a start that came to nothing leaves
+no claim.
 """
 
 import contextlib
 import hashlib
 import json
-import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -23,6 +24,10 @@ from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE, from_plain, to_plain, write_json
 from jaxdeconf.version import __version__
+
+CONFIG = "config.json"
+OWNER = "owner.json"
+_STAMP = b'{\n "jaxdeconf":'  # how a file begins that says what a run or a sweep is to do
 
 
 class StoreError(RuntimeError):
@@ -52,27 +57,9 @@ class Store:
         self.directory = directory
         self._home = home or directory
         self.saved_at = time.monotonic()  # when it last saved
-        wanted = to_plain(config)
-        self._identity = hashlib.sha256(json.dumps([__version__, wanted]).encode()).hexdigest()
-        if resume:
-            changed = differences(to_plain(read_config(directory)), wanted)
-            if changed:
-                shown = ", ".join(
-                    f"--{name.replace('_', '-')} was {old}, is {new}" for name, old, new in changed
-                )
-                raise StoreError(
-                    f"{directory / 'config.json'}: resumed with another config: {shown}; "
-                    "leave those flags out, or start a new run with --out"
-                )
-            return
-        require_empty(directory)
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            write_config(directory, config)
-        except OSError as error:
-            raise StoreError(
-                f"{directory}: cannot be written ({error.strerror}); use another --out"
-            ) from error
+        wanted = json.dumps([__version__, to_plain(config)])
+        self._identity = hashlib.sha256(wanted.encode()).hexdigest()
+        (require_same if resume else begin)(directory, config)
 
     def save(
         self,
@@ -91,21 +78,14 @@ class Store:
           notes: values for JSON, beside it.
           made_from: what it follows from: names, and fingerprints as of `checkpoint`.
         Raises:
-          WriteError: if the disk does not take it; what was saved before is still there.
+          WriteError: if the disk does not take it, or not give it back; what was saved before is
+            still there.
         """
-        about = {
-            "run": self._identity,
-            "fingerprint": checkpoint.fingerprint(state),
-            "made_from": dict(made_from),
-            "notes": to_plain(notes),
-        }
+        about = {"run": self._identity, "made_from": dict(made_from), "notes": to_plain(notes)}
         folder = self._folder(stage) / str(step)
         try:
             checkpoint.write(folder, state, about)
-        except (OSError, ValueError) as error:
-            # Orbax wraps what the system said in a ValueError, and raises others for its own use.
-            if isinstance(error, ValueError) and not _SYSTEM.search(_words(error)):
-                raise
+        except OSError as error:
             raise _write_error(self._home, folder, error) from error
         self.saved_at = time.monotonic()
 
@@ -134,8 +114,6 @@ class Store:
                 if about["made_from"].get(name) != now:
                     raise ValueError(f"made from another {name} than is there now")
             state = checkpoint.read_state(folder, like)
-            if checkpoint.fingerprint(state) != about["fingerprint"]:
-                raise ValueError("its arrays are not of the types that were saved")
         except UNREADABLE as error:
             raise StoreError(
                 f"{folder}: not a checkpoint of this run ({cause(error)}); "
@@ -172,65 +150,134 @@ def writing(directory: Path) -> Iterator[None]:
 def _write_error(directory: Path, place: Path, error: Exception) -> WriteError:
     return WriteError(
         f"{place}: cannot be written ({cause(error)}); "
-        f"make room, then go on with --resume {directory}"
+        f"see to the disk, then go on with --resume {directory}"
     )
 
 
-def require_empty(directory: Path) -> None:
-    """Refuses to put a new run where anything is.
+def begin(directory: Path, config: Config, seeds: int = 1) -> None:
+    """Makes the directory of a new run, or of several that differ in their seeds.
 
     Raises:
-      StoreError: if the directory holds a run, or other files.
+      StoreError: if anything is there, or it cannot be written.
     """
-    if (directory / "config.json").exists():
-        raise StoreError(f"{directory}: holds a run; use --resume {directory}, or another --out")
+    require_free(directory)
     try:
-        # A run killed in its first moment may have left a part of its config.
-        others = {entry.name for entry in directory.iterdir()} - {"config.json" + PARTIAL}
-    except FileNotFoundError:
-        return
+        directory.mkdir(parents=True, exist_ok=True)
+        write_json(directory / CONFIG, stamped({"seeds": seeds, **to_plain(config)}))
     except OSError as error:
         raise StoreError(
             f"{directory}: cannot be written ({error.strerror}); use another --out"
         ) from error
-    if others:
+
+
+def require_same(directory: Path, config: Config) -> None:
+    """Refuses to go on with a run otherwise than it was begun.
+
+    Raises:
+      StoreError: if the directory holds a run of another config, or none.
+    """
+    changed = differences(to_plain(read_config(directory)), to_plain(config))
+    if changed:
+        shown = [f"--{name.replace('_', '-')} was {old}, is {new}" for name, old, new in changed]
         raise StoreError(
-            f"{directory / min(others)}: is no run's, and would be among one's files; "
-            "use an empty or a new --out"
+            f"{directory / CONFIG}: resumed with another config: {', '.join(shown)}; "
+            "leave those flags out, or start a new run with --out"
         )
 
 
+def require_free(directory: Path) -> None:
+    """Refuses to put a new run, or a sweep, where anything is.
+
+    Raises:
+      StoreError: if the directory holds a run, or other files.
+    """
+    if kind := held(directory):
+        raise StoreError(f"{directory}: holds a {kind}; use --resume {directory}, or another --out")
+    if file := _beyond_claims(directory):
+        raise StoreError(
+            f"{file}: is no run's, and would be among one's files; use an empty or a new --out"
+        )
+
+
+def held(directory: Path) -> str | None:
+    """`run` or `sweep`, if a directory holds one that has saved anything."""
+    kinds = {"run": CONFIG, "sweep": "sweep.json"}
+    found = [kind for kind, name in kinds.items() if (directory / name).exists()]
+    return found[0] if found and not free(directory) else None
+
+
+def free(directory: Path) -> bool:
+    """Whether a new run may go there: nothing has been saved, and there is nothing else."""
+    return _beyond_claims(directory) is None
+
+
+def _beyond_claims(directory: Path) -> Path | None:
+    """A file that is more than what a start, or a save, leaves that comes to nothing."""
+    files = (path for path in directory.rglob("*") if not path.is_dir())
+    return next((file for file in files if not _is_claim(file)), None)
+
+
+def _is_claim(file: Path) -> bool:
+    if file.name.startswith("owner") or PARTIAL in (file.suffix, file.parent.suffix):
+        return True
+    try:
+        with file.open("rb") as opened:
+            return opened.read(len(_STAMP)) == _STAMP
+    except OSError:
+        return False
+
+
 def read_config(directory: Path) -> Config:
-    """The config of the run in a directory.
+    """The config of the run in a directory; of several, the first one's. Raises as `begun` does."""
+    return begun(directory)[0]
+
+
+def begun(directory: Path) -> tuple[Config, int]:
+    """What `begin` wrote.
 
     Raises:
       StoreError: if there is none, or it is not one of this version's.
     """
-    file = directory / "config.json"
-    plain = read_versioned(file, "run", "config")
-    with reading(file, "run", "config"):
-        return from_plain(Config, plain)
+    file = directory / CONFIG
+    plain = read_stamped(file, "run")
+    with reading(file, "run"):
+        seeds = plain.pop("seeds", 1)
+        return from_plain(Config, plain), seeds
 
 
-def read_versioned(file: Path, kind: str, what: str) -> dict[str, Any]:
-    """What the file that says what a run or a sweep is holds, but for its version.
+def stamped(plain: dict[str, Any]) -> dict[str, Any]:
+    """What a run or a sweep is to do, with what it must go on with."""
+    return {"jaxdeconf": __version__, "x64": _x64(), **plain}
+
+
+def _x64() -> bool:
+    return jax.config.jax_enable_x64  # type: ignore
+
+
+def read_stamped(file: Path, kind: str) -> dict[str, Any]:
+    """What `stamped` was given, of a file.
 
     Raises:
-      StoreError: if it cannot be read, or is of another version.
+      StoreError: if it cannot be read, or must be gone on with otherwise.
     """
-    with reading(file, kind, what):
+    with reading(file, kind):
         plain = json.loads(file.read_text(encoding="utf-8"))
-        version = plain.pop("jaxdeconf", "unknown")
+        version, x64 = plain.pop("jaxdeconf", "unknown"), plain.pop("x64", False)
     if version != __version__:
         raise StoreError(
             f"{file}: a {kind} of jaxdeconf {version}, not of this version, {__version__}; "
             f"finish it with its own, or start a new {kind} with --out"
         )
+    if x64 != _x64():
+        raise StoreError(
+            f"{file}: a {kind} begun with JAX_ENABLE_X64={x64:d}, which is {not x64:d} now; "
+            f"go on with what it was, or start a new {kind} with --out"
+        )
     return plain
 
 
 @contextlib.contextmanager
-def reading(file: Path, kind: str, what: str) -> Iterator[None]:
+def reading(file: Path, kind: str) -> Iterator[None]:
     """Turns what is wrong with the file that says what a run or a sweep is into a StoreError."""
     try:
         yield
@@ -240,30 +287,15 @@ def reading(file: Path, kind: str, what: str) -> Iterator[None]:
         ) from error
     except UNREADABLE as error:
         raise StoreError(
-            f"{file}: not a {what} of jaxdeconf {__version__} ({cause(error)}); "
+            f"{file}: not a {kind} of jaxdeconf {__version__} ({cause(error)}); "
             f"start a new {kind} with --out"
         ) from error
 
 
-def write_config(directory: Path, config: Config) -> None:
-    """Writes the config.json that `read_config` reads."""
-    write_json(directory / "config.json", {"jaxdeconf": __version__, **to_plain(config)})
-
-
-_SYSTEM = re.compile(r": ([^:]*) \[os_error_code")  # what the system said, within Orbax's words
-
-
-def _words(error: Exception) -> str:
-    """What an error says; Orbax wraps the one that says what is wrong."""
-    inner = error.__cause__ or error
-    return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
-
-
 def cause(error: Exception) -> str:
     """An error in one line."""
-    words = _words(error)
-    system = _SYSTEM.search(words)
-    return system[1] if system else words.splitlines()[0]
+    words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return words.splitlines()[0]
 
 
 def differences(old: Any, new: Any, path: str = "") -> list[tuple[str, Any, Any]]:

@@ -76,14 +76,14 @@ class Trained(NamedTuple):
 
 
 def train_all(
-    jobs: Sequence[Job], budget: float, progress: Callable[[int], None]
+    jobs: Sequence[Job], budget: float, progress: Callable[[int, float], None]
 ) -> Iterator[list[Trained]]:
     """Trains jobs of one shape, a batch after the other.
 
     Args:
       jobs: what to train.
       budget: bytes, see `room`.
-      progress: told the steps so far, of all models, after every chunk; may raise to stop.
+      progress: told the steps so far, of all models, and the mean loss; may raise to stop.
     Yields:
       A batch that is done. Models whose numbers are not finite are among it.
     """
@@ -96,7 +96,7 @@ def train_all(
         chosen = order[start : start + space.models]
         begin = time.perf_counter()
         for steps, metrics, states in _train([jobs[i] for i in chosen], space):
-            progress(total * start + steps * len(chosen))
+            progress(total * start + steps * len(chosen), float(metrics["loss"].mean()))
             if states is not None:
                 seconds, loss = time.perf_counter() - begin, metrics["loss"]
                 yield [

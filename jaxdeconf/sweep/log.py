@@ -3,6 +3,7 @@
 DIR/sweep.json                 the grid, and of which version of jaxdeconf
 DIR/sweep.jsonl                a row a point; DIR/sweep-1-of-4.jsonl where a shard wrote it
 DIR/stages/, DIR/stages-1-of-4 what points share: trajectories and β-VAEs
+DIR/owner.json                 who works there now; DIR/owner-1-of-4.json for a shard
 """
 
 import contextlib
@@ -18,9 +19,8 @@ from jaxdeconf import checks
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import UNREADABLE, from_plain, to_plain, write_json
 from jaxdeconf.pipeline.results import Row
-from jaxdeconf.pipeline.store import StoreError, read_versioned, reading, writing
+from jaxdeconf.pipeline.store import StoreError, read_stamped, reading, stamped, writing
 from jaxdeconf.sweep.grid import Axis, Point, points
-from jaxdeconf.version import __version__
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Log:
         """Of a sweep's directory; `shard` is (i, n), 1 <= i <= n."""
         part = "" if shard == (1, 1) else f"-{shard[0]}-of-{shard[1]}"
         self.directory = directory
+        self.owner = directory / f"owner{part}.json"
         self.stages = directory / f"stages{part}"
         self._file = directory / f"sweep{part}.jsonl"
 
@@ -107,7 +108,7 @@ def write_sweep(directory: Path, sweep: Sweep) -> None:
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
         own = directory / f"sweep-{platform.node()}-{os.getpid()}.json"
-        write_json(own, {"jaxdeconf": __version__, **_plain(sweep)})
+        write_json(own, stamped(_plain(sweep)))
         with contextlib.suppress(FileExistsError):
             os.link(own, directory / "sweep.json")  # whole, and only one
         own.unlink()
@@ -125,8 +126,8 @@ def read_sweep(directory: Path) -> Sweep:
       StoreError: if there is none, or it is not one of this version's.
     """
     file = directory / "sweep.json"
-    found = read_versioned(file, "sweep", "sweep")
-    with reading(file, "sweep", "sweep"):
+    found = read_stamped(file, "sweep")
+    with reading(file, "sweep"):
         axes = [Axis(k, tuple(map(_hashable, values))) for k, values in found["axes"].items()]
         return Sweep(from_plain(Config, found["base"]), tuple(axes), found["seeds"])
 

@@ -28,7 +28,7 @@ from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.run import collect_for, evidence_for
 from jaxdeconf.pipeline.stages import Run, finite
-from jaxdeconf.pipeline.store import Nowhere, Store
+from jaxdeconf.pipeline.store import Nowhere, Store, free
 from jaxdeconf.region import find_region
 from jaxdeconf.sweep.batch import Job, Trained, train_all
 from jaxdeconf.sweep.grid import Point
@@ -94,7 +94,7 @@ def _encoder_stage(config: Config) -> str:
 def data_of(work: Work, config: Config) -> Data:
     """The trajectories of a config's points, loaded or collected once.
 
-    Of several processes each makes them, and none keeps them: Orbax saves only what all save.
+    Of several processes each makes them, and none keeps them: one cannot wait for another's.
     """
     name, base = data_name(config), work.sweep.base
     if name not in work.data:
@@ -104,8 +104,7 @@ def data_of(work: Work, config: Config) -> Data:
         if jax.process_count() > 1:
             store = Nowhere()
         else:
-            begun = (folder / "config.json").is_file()
-            store = Store(folder, own, begun, home=work.log.directory)
+            store = Store(folder, own, not free(folder), home=work.log.directory)
         system = fitting(own, work.system)
         run = Run(own, system, store, work.reporter, work.interruption)
         collected = run.stage("collect", lambda: collect_for(own, system, run.key))
@@ -151,8 +150,8 @@ def train(work: Work, what: str, jobs: Sequence[Job]) -> Iterator[list[Trained]]
     total = first.config.total_steps(first.samples) * len(jobs)
     with work.reporter.bar(f"{what} × {len(jobs)}", total) as bar:
 
-        def progress(done: int) -> None:
-            bar.update(done, "model-steps")
+        def progress(done: int, loss: float) -> None:
+            bar.update(done, f"mean loss {loss:.4g}")
             work.interruption.check()
 
         yield from train_all(jobs, work.budget, progress)

@@ -1,18 +1,19 @@
 """The command line: presets, flags, and what a wrong argument costs."""
 
+import contextlib
 import json
 import re
 import subprocess
 import sys
 from dataclasses import replace
 
+import jax.numpy as jnp
 import pytest
 
 from jaxdeconf.commands import run
 from jaxdeconf.commands.guard import cache_compilations
 from jaxdeconf.commands.main import main
-from jaxdeconf.pipeline.plain import write_json
-from jaxdeconf.pipeline.store import write_config
+from jaxdeconf.pipeline.store import Store, begin
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.version import __version__
 
@@ -78,7 +79,9 @@ def test_flags_change_the_preset_they_are_given_with():
         (["--seeds", "2", "--seed", str(2**32 - 1)], "seeds: expected an integer <= 1, got 2"),
         (["--seeds", "nan"], "--seeds: .*nan"),
         (["--seeds", "0"], "seeds: expected a positive integer, got 0"),
-        (["--out", "a", "--resume", "b"], "b/config.json: no run to resume there"),
+        (["--resume", "b"], "b/config.json: no run to resume there"),
+        (["--out", "a", "--resume", "b"], "expected only one of --out and --resume, got a"),
+        (["--resume-if-exists"], "resume_if_exists: expected --out beside it, got none"),
     ],
 )
 def test_a_wrong_argument_exits_with_2_and_one_line(arguments, said, capsys):
@@ -92,21 +95,19 @@ def test_a_wrong_argument_exits_with_2_and_one_line(arguments, said, capsys):
 
 def test_resuming_needs_no_flags(tmp_path):
     config = read("--preset", "smoke", "--disentangle.beta", "3", "--seed", "5").config
-    write_config(tmp_path, config)
+    begin(tmp_path, config)
     assert read("--resume", str(tmp_path)).config == config
 
 
 def test_several_runs_are_resumed_together(tmp_path, capsys):
-    """Seed 9 before seed 10, whatever their names' order; not with another number of them."""
+    """Also if the first was killed in its first moment; not with another number of them."""
     config = replace(CARTPOLE["smoke"], seed=9)
-    write_json(tmp_path / run.SEEDS, {"first": 9, "count": 2})
-    for seed in (9, 10):
-        (tmp_path / f"seed-{seed}").mkdir()
-        write_config(tmp_path / f"seed-{seed}", replace(config, seed=seed))
+    begin(tmp_path, config, seeds=2)
     asked = read("--resume", str(tmp_path))
     assert (asked.config, asked.seeds) == (config, 2)
     assert main(["cartpole", "--resume", str(tmp_path), "--seeds", "3"]) == 2
     assert "--seeds: expected 2, as was begun there, got 3" in capsys.readouterr().err
+    begin(tmp_path / "seed-9", config)
     alone = ["cartpole", "--resume", str(tmp_path / "seed-9"), "--seeds", "2"]
     assert main(alone) == 2
     assert "--seeds: expected 1" in capsys.readouterr().err
@@ -117,11 +118,11 @@ def test_a_config_that_is_none_is_named(tmp_path, capsys):
         json.dumps({"jaxdeconf": __version__, "seed": 1, "wheels": 4})
     )
     assert main(["cartpole", "--resume", str(tmp_path)]) == 2
-    assert "config.json: not a config of jaxdeconf" in capsys.readouterr().err
+    assert "config.json: not a run of jaxdeconf" in capsys.readouterr().err
 
 
 def test_out_and_resume_exclude_each_other(tmp_path, capsys):
-    write_config(tmp_path, CARTPOLE["smoke"])
+    begin(tmp_path, CARTPOLE["smoke"])
     assert main(["cartpole", "--out", "a", "--resume", str(tmp_path)]) == 2
     assert "expected only one of --out and --resume" in capsys.readouterr().err
 
@@ -185,3 +186,75 @@ def test_the_cache_goes_where_the_rules_say(monkeypatch, tmp_path):
 
     monkeypatch.setattr("pathlib.Path.home", nobody)
     assert where() is None
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Every run fails in its first stage, in one of the ways in which one may."""
+
+    def fail(error):
+        def collect_for(*_):
+            raise error
+
+        monkeypatch.setattr("jaxdeconf.pipeline.run.collect_for", collect_for)
+
+    monkeypatch.setattr(run, "cache_compilations", lambda: None)
+    return fail
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ValueError("late"), ZeroDivisionError("a bug")])
+@pytest.mark.parametrize("seeds", ["1", "2"])
+def test_a_start_that_fails_in_its_first_stage_leaves_no_claim(
+    failing, tmp_path, capsys, error, seeds
+):
+    """The same --out takes a run of other flags; this one, too, and with it one that goes on."""
+    failing(error)
+    out = ["cartpole", "--preset", "smoke", "--out", str(tmp_path / "run")]
+    for words in ([], ["--seeds", seeds], ["--seed", "5"], ["--clone.epochs", "1"]):
+        for more in ([], ["--resume-if-exists"]):
+            with contextlib.suppress(ZeroDivisionError):
+                main([*out, *words, *more])
+            said = capsys.readouterr().err
+            assert "holds a run" not in said
+            assert "was begun" not in said
+            assert "another config" not in said
+    assert not list((tmp_path / "run").rglob("owner*"))
+
+
+def saved(directory, config):
+    """A run of which the first stage is done."""
+    Store(directory, config, resume=False).save("collect", 0, {"a": jnp.ones(2)}, {}, {})
+
+
+def test_one_line_starts_or_goes_on(tmp_path, capsys):
+    out = tmp_path / "run"
+    words = ["--preset", "smoke", "--seed", "5", "--out", str(out), "--resume-if-exists"]
+    start = read(*words, "--clone.epochs", "3")
+    assert (start.held, start.config.clone.epochs) == (None, 3)
+    saved(out, start.config)
+    again = read(*words)
+    assert (again.held, again.config) == (out, start.config)  # what is not said is as it was
+    for other in (["--clone.epochs", "4"], ["--seed", "6"], ["--preset", "laptop"]):
+        assert main(["cartpole", *words, *other]) == 2
+        assert "config.json: resumed with another config: --" in capsys.readouterr().err
+    assert main(["cartpole", *words, "--seeds", "2"]) == 2
+    assert "--seeds: expected 1, as was begun there" in capsys.readouterr().err
+    assert main(["reacher", *words]) == 2
+    assert "a run of cartpole, not of reacher" in capsys.readouterr().err
+
+
+def test_one_line_starts_or_goes_on_with_several_seeds(tmp_path, capsys):
+    config = replace(CARTPOLE["smoke"], seed=5)
+    begin(tmp_path, config, seeds=2)
+    saved(tmp_path / "seed-5", config)
+    words = ["--out", str(tmp_path), "--resume-if-exists"]
+    assert (read(*words).config, read(*words).seeds) == (config, 2)
+    assert main(["cartpole", *words, "--seeds", "3"]) == 2
+    assert "--seeds: expected 2, as was begun there, got 3" in capsys.readouterr().err
+
+
+def test_one_line_does_not_start_among_other_files(tmp_path, capsys):
+    (tmp_path / "mine").write_text("")
+    assert main(["cartpole", "--out", str(tmp_path), "--resume-if-exists"]) == 2
+    assert f"{tmp_path / 'mine'}: is no run's" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]

@@ -39,7 +39,7 @@ class Strike:
             self.now()
 
     def rename(self, rename, source, place):
-        mine = Path(place).parent.name == self.stage  # STAGE/STEP; Orbax renames files of its own
+        mine = Path(place).parent.name == self.stage
         self.saves += mine
         second = mine and self.saves == 2
         if second and self.when == "renaming":

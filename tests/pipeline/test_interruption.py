@@ -44,7 +44,9 @@ def test_a_run_killed_in_every_kind_of_stage_ends_with_the_same_numbers(
             assert run.returncode == -signal.SIGKILL, words
         else:
             assert run.returncode == 128 + signal.Signals[name], words
-            assert run.stderr == f"interrupted; go on with --resume {directory}\n"
+            last = run.stderr.splitlines()[-1]
+            assert last == f"interrupted; go on with --resume {directory}"
+            assert not list(directory.glob("owner*"))
             saved = checkpoint.latest(directory / "checkpoints" / stage)
             assert saved is not None, words  # its end is not for many seconds, nor its next save
         assert not (directory / "results.json").exists() or stage == "save"
@@ -73,7 +75,9 @@ def test_a_second_signal_ends_it_at_once_even_in_one_long_instruction(number):
     # As a compiled program does: it frees the interpreter, but no handler runs for minutes.
     process = listening("hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)")
     process.send_signal(number)
-    time.sleep(0.2)
+    time.sleep(0.1)
+    process.send_signal(number)  # a wrapper passes on what the terminal sent to all
+    time.sleep(0.6)
     assert process.poll() is None
     process.send_signal(number)
     _, errors = process.communicate(timeout=10)

@@ -1,6 +1,7 @@
 """The whole program, as a user runs it: every stage, every file."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -18,9 +19,12 @@ def results(done):
     return json.loads((done[0] / "results.json").read_text())
 
 
-def test_it_says_what_it_found_and_is_quiet_beside(done):
+def test_it_says_what_it_found_and_beside_it_a_line_a_stage(done):
     _, run = done
-    assert run.stderr == ""
+    stages = [line.split(": ")[0] for line in run.stderr.splitlines()]
+    each = [f"{verb} {policy}" for verb in ("clone", "judge") for policy in POLICIES]
+    assert stages == ["collect", "disentangle", "mask", *each]
+    assert re.search(r"^clone Masked: \d+\.\d s, loss \d", run.stderr, re.MULTILINE)
     assert run.stdout.startswith("cartpole, preset smoke with ")
     assert "seed 0" in run.stdout.splitlines()[0]
     assert all(policy in run.stdout for policy in POLICIES)
@@ -103,7 +107,8 @@ def test_what_is_finished_is_only_said_again_and_its_report_redrawn(done, capsys
         one, other = (d / "figures" / f"{name}.png" for d in (copy, done.directory))
         assert one.read_bytes() == other.read_bytes()
     assert (copy / "report.html").read_text() == (done.directory / "report.html").read_text()
-    assert main(["cartpole", "--resume", str(copy)]) == 0
-    said = capsys.readouterr().out.replace(str(copy), str(done.directory))
-    assert said == done.process.stdout
+    for words in (["--resume", str(copy)], ["--out", str(copy), "--resume-if-exists"]):
+        assert main(["cartpole", *words]) == 0
+        said = capsys.readouterr().out.replace(str(copy), str(done.directory))
+        assert said == done.process.stdout
     assert (copy / "results.json").read_bytes() == before

@@ -210,6 +210,8 @@ def test_another_grid_is_refused(swept, small, capsys, monkeypatch):
     before = (directory / "sweep.jsonl").read_bytes()
     assert main(["sweep", "--seeds", "2", "--resume", str(directory)]) == 2
     assert "holds another sweep" in capsys.readouterr().err
+    assert main(["sweep", "--out", str(directory), "--resume-if-exists", "--seeds", "2"]) == 2
+    assert "holds another sweep" in capsys.readouterr().err
     assert main(["sweep", *small, *GRID, "--out", str(directory)]) == 2
     assert f"holds a sweep; use --resume {directory}" in capsys.readouterr().err
     assert (directory / "sweep.jsonl").read_bytes() == before
