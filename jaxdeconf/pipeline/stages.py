@@ -58,6 +58,7 @@ class Run:
             value, notes = saved
             self.seconds[name] = notes["seconds"]
             return value
+        self.interruption.check()
         with self.reporter.bar(name, 1) as bar:
             begin = time.perf_counter()
             value = jax.tree.map(jnp.asarray, jax.block_until_ready(compute()))

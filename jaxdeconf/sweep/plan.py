@@ -37,6 +37,8 @@ def describe(sweep: Sweep, system: System, shard: tuple[int, int], budget: float
         kind = "traced" if grid.is_traced(axis, base) else "static"
         values = ", ".join(map(grid.shown, axis.values))
         lines.append(f"  {axis.name} = {values}   ({kind})")
+    if not points:
+        return "\n".join([*lines, "  nothing to do"])
     data = shared.distinct(configs, shared.data_name)
     encoders = shared.distinct(configs, shared.encoder_name)
     expert = base.collect.expert_trajectories

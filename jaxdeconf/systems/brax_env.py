@@ -62,7 +62,13 @@ class SystemEnv(envs.Env):
     wrapper's: hand `episode_length` to `brax.envs.training.wrap`, or to the trainer.
     """
 
-    def __init__(self, system: System, observation: str = "state", terminate: bool = True):
+    def __init__(
+        self,
+        system: System,
+        observation: str = "state",
+        terminate: bool = True,
+        backend: str | None = None,
+    ):
         """Chooses what is seen and what a fall does.
 
         Args:
@@ -72,6 +78,7 @@ class SystemEnv(envs.Env):
           terminate: whether leaving the bounds ends the episode. Costs are positive, so an agent
             may gain by falling early. False charges the cost of the fall until the time is up: a
             whole episode's reward is then minus `steps` times `evaluate.rollout_loss`.
+          backend: Brax's trainers name a physics engine; the System has equations of its own.
         Raises:
           ValueError: if there is no such observation.
         """
@@ -102,7 +109,10 @@ class SystemEnv(envs.Env):
         Args:
           state: what `reset` or `step` returned.
           action: [A] in [-1, 1], clipped to that; times the limits is the System's action.
+        Raises:
+          ValueError: if the action has another size.
         """
+        action = checks.array("action", action, f"[{self.action_size}]", (self.action_size,))
         moment, system = cast(Moment, state.pipeline_state), self.system
         inside = system.in_bounds(moment.state)
         scaled = jnp.clip(action, -1.0, 1.0) * system.limits
@@ -149,9 +159,23 @@ class SystemEnv(envs.Env):
         """Steps of a whole trajectory, for wrappers and trainers."""
         return self.system.steps
 
-    def render(self, trajectory: Sequence[Moment]) -> list[np.ndarray]:
-        """uint8 [H, W, 3] frames of a list of pipeline states, with the nuisance."""
-        frame = jax.jit(self.system.frame)
+    def render(
+        self,
+        trajectory: Sequence[Moment],
+        height: int | None = None,
+        width: int | None = None,
+        camera: str | None = None,
+    ) -> list[np.ndarray]:
+        """uint8 [H, W, 3] frames of a list of pipeline states, with the nuisance.
+
+        Args:
+          trajectory: the states.
+          height: H; None is the System's own.
+          width: W, likewise.
+          camera: as Brax's environments have it; the System has one view.
+        """
+        own = self.system.size
+        frame = jax.jit(replace(self.system, size=(height or own[0], width or own[1])).frame)
         return [np.asarray(frame(moment.state, moment.previous_action)) for moment in trajectory]
 
 

@@ -25,6 +25,7 @@ from jaxdeconf.pipeline.plain import write_json
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.store import Store, StoreError, WriteError
 from jaxdeconf.presets import PRESETS
+from jaxdeconf.version import __version__
 
 CONFIG = PRESETS["cartpole"]["smoke"]
 PICKLERS = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
@@ -251,7 +252,7 @@ def test_a_run_of_another_config_system_or_version_is_not_resumed(run, capsys, m
     words = f"{run}: a run of cartpole, not of reacher; use jaxdeconf cartpole"
     exits_with(2, words, capsys, "--resume", run, command="reacher")
     monkeypatch.setattr(store, "__version__", "9.9.9")
-    words = f"{run / 'config.json'}: a run of jaxdeconf 0.2.0, not of this version, 9.9.9"
+    words = f"{run / 'config.json'}: a run of jaxdeconf {__version__}, not of this version, 9.9.9"
     exits_with(2, words, capsys, "--resume", run)
     assert contents(run) == before
 

@@ -3,10 +3,14 @@
 import jax
 import pytest
 
+from jaxdeconf import systems
 from jaxdeconf.commands.main import main
 from jaxdeconf.commands.parse import parse_value
 from jaxdeconf.pipeline.config import Config
+from jaxdeconf.presets import PRESETS
 from jaxdeconf.sweep.grid import Axis, is_traced, points, read_axis, replace
+from jaxdeconf.sweep.log import Sweep
+from jaxdeconf.sweep.plan import describe
 from jaxdeconf.sweep.sweep import part
 
 BASE = Config()
@@ -21,6 +25,11 @@ def test_points_are_all_combinations_seed_by_seed():
     assert found[7].config == replace(
         BASE, {"seed": 6, "clone.learning_rate": 1e-3, "mask.reaction_horizon": 2}
     )
+
+
+def test_a_shard_without_points_has_nothing_to_do():
+    one = Sweep(PRESETS["cartpole"]["smoke"])
+    assert describe(one, systems.get("cartpole"), (1, 2), 1e9).endswith("\n  nothing to do")
 
 
 def test_shards_are_all_points_once():

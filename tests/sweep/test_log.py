@@ -81,7 +81,7 @@ def test_a_damaged_row_is_named(tmp_path, line):
         Log(tmp_path).rows()
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"jaxdeconf": "0.2.0"}'])
+@pytest.mark.parametrize("text", ["", "[]", '{"jaxdeconf": "0.3.0"}'])
 def test_a_damaged_plan_is_named(tmp_path, text):
     (tmp_path / "sweep.json").write_text(text)
     with pytest.raises(StoreError, match=r"sweep\.json: not a sweep of jaxdeconf"):
