@@ -166,7 +166,7 @@ def leaked(trial: Trial, view: View, parameters: Any) -> Array:
 def pictures(
     trial: Trial,
     encoder: Encoder,
-    region: Array,
+    region: Array | None,
     policies: Mapping[str, Policy],
     driven: Mapping[str, Trajectories],
 ) -> Pictures:
@@ -190,7 +190,7 @@ def pictures(
         strips={name: np.asarray(strip) for name, strip in {"Frame": images, **strips}.items()},
         traversals=_traversals(encoder, system.size),
         traversal_values=_TRAVERSAL,
-        region=np.asarray(region),
+        region=np.zeros((0, 0), bool) if region is None else np.asarray(region),
         rollouts={name: np.asarray(frames(system, one)) for name, one in shown.items()},
         alive={name: np.asarray(one.valid) for name, one in shown.items()},
         dt=system.dt,

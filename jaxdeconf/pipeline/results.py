@@ -76,7 +76,7 @@ class Results(NamedTuple):
     statistic: str  # of the mask
     threshold: float  # gamma, as it was used
     mask: np.ndarray  # [O] bool
-    region: float  # share of the image's pixels that masked latents reach
+    region: float | None  # share of pixels that masked latents reach; None: no method asked
     state_observation: np.ndarray  # [S, O] the statistic
     state_action: np.ndarray  # [S, H, A]
     p_values: PValues
@@ -116,7 +116,7 @@ class Pictures(NamedTuple):
     strips: dict[str, np.ndarray]  # view -> [n, H, W, 3], of the same expert trajectory
     traversals: np.ndarray  # [O, V, H, W, 3] one latent at each value, the others at their mean
     traversal_values: np.ndarray  # [V] in prior standard deviations
-    region: np.ndarray  # [H, W] bool, the pixels that masked latents reach
+    region: np.ndarray  # [H, W] bool, the pixels that masked latents reach; [0, 0] if unknown
     rollouts: dict[str, np.ndarray]  # policy -> [T, H, W, 3], from the same start
     alive: dict[str, np.ndarray]  # policy -> bool [T], False once it has ended out of bounds
     dt: float  # s a frame

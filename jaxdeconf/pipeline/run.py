@@ -1,6 +1,7 @@
 """One run from a config to its results: collect, disentangle, mask, clone, evaluate."""
 
 import time
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from jaxdeconf.demos import Demos
 from jaxdeconf.expert import plan
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.mask import Mask
-from jaxdeconf.methods import Evidence, imitated
+from jaxdeconf.methods import METHODS, Evidence, imitated
 from jaxdeconf.pipeline import judge, machine
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.config import Config, fitting
@@ -64,7 +65,7 @@ def run(
     collected = this.stage("collect", lambda: collect_for(config, system, this.key))
     trial = judge.trial(system, this.key, collected)
     encoder, mask = deconfounded(this, trial)
-    region = find_region(encoder, mask.mask, trial.held_out.images, this.key)
+    region = region_for(trial, encoder, mask.mask, config.methods)
     evidence = evidence_for(config, system, encoder, mask.mask, region)
     demos = demonstrations_for(config, system, collected)
 
@@ -114,8 +115,17 @@ def demonstrations_for(config: Config, system: System, collected: Collected) -> 
     return collect.demonstrations(system, collected.expert, config.clone.trajectory_steps)
 
 
+def region_for(
+    trial: Trial, encoder: Encoder, mask: Array, methods: Collection[str]
+) -> Array | None:
+    """The pixels that masked latents reach, if one of the methods needs to know."""
+    if not any("region" in METHODS[name].needs for name in methods):
+        return None
+    return find_region(encoder, mask, trial.held_out.images, trial.key)
+
+
 def evidence_for(
-    config: Config, system: System, encoder: Encoder, mask: Array, region: Array
+    config: Config, system: System, encoder: Encoder, mask: Array, region: Array | None
 ) -> Evidence:
     """What a method may be made from; a simulator knows all there is."""
 
@@ -133,7 +143,12 @@ def visits(config: Config, demos: Demos) -> tuple[int, ...]:
 
 
 def _results(
-    this: Run, trial: Trial, encoder: Encoder, mask: Mask, region: Array, judged: dict[str, Judged]
+    this: Run,
+    trial: Trial,
+    encoder: Encoder,
+    mask: Mask,
+    region: Array | None,
+    judged: dict[str, Judged],
 ) -> Results:
     config, system = this.config, this.system
     latents = judge.judge_latents(trial, encoder)
@@ -148,7 +163,7 @@ def _results(
         statistic=config.mask.statistic,
         threshold=float(mask.threshold),
         mask=np.asarray(mask.mask),
-        region=float(region.mean()),
+        region=None if region is None else float(region.mean()),
         state_observation=np.asarray(mask.state_observation),
         state_action=np.asarray(mask.state_action),
         p_values=PValues(np.asarray(mask.p_state_observation), np.asarray(mask.p_state_action)),

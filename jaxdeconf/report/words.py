@@ -177,7 +177,7 @@ def of_mask(results: Results) -> list[str]:
         f"Of {len(results.active)} latents, {len(active)} are active; of these, Algorithm 1 "
         f"masked {listing(chosen)} (γ = {results.threshold:.3g})."
     ]
-    if chosen:
+    if chosen and results.region is not None:
         whole = "all pixels: their reach is not local" if results.region == 1.0 else ""
         of = whole or f"{percent(results.region)} of the image's pixels"
         sentences.append(f"The masked latents reach {of}.")

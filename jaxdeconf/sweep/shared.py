@@ -18,7 +18,7 @@ from jaxdeconf.deconfound import first_latents
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import Training
-from jaxdeconf.methods import Evidence
+from jaxdeconf.methods import METHODS, Evidence
 from jaxdeconf.pipeline import judge
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.config import Config, fitting
@@ -26,10 +26,9 @@ from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.judge import Trial
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.progress import Reporter
-from jaxdeconf.pipeline.run import collect_for, evidence_for
+from jaxdeconf.pipeline.run import collect_for, evidence_for, region_for
 from jaxdeconf.pipeline.stages import Run, finite
 from jaxdeconf.pipeline.store import Nowhere, Store, free
-from jaxdeconf.region import find_region
 from jaxdeconf.sweep.batch import Job, Trained, train_all
 from jaxdeconf.sweep.grid import Point
 from jaxdeconf.sweep.log import Log, Sweep
@@ -62,7 +61,7 @@ class Work:
     budget: float  # bytes
     data: dict[str, Data] = field(default_factory=dict)  # by data_name
     encoders: dict[str, Found | None] = field(default_factory=dict)  # None: diverged
-    regions: dict[Any, Array] = field(default_factory=dict)  # by encoder_name and mask
+    regions: dict[Any, Array | None] = field(default_factory=dict)  # by all they follow from
 
 
 def distinct(configs: Iterable[Config], name: Callable[[Config], str]) -> list[Config]:
@@ -174,14 +173,15 @@ def _judge(work: Work, config: Config, encoder: Encoder) -> None:
     work.encoders[encoder_name(config)] = Found(encoder, np.asarray(share))
 
 
-def evidence_of(work: Work, config: Config, mask: np.ndarray) -> Evidence:
+def evidence_of(work: Work, config: Config, method: str, mask: np.ndarray) -> Evidence:
     """What a method may be made from, given a point's mask [O]."""
     (run, trial), found = data_of(work, config), work.encoders[encoder_name(config)]
     assert found is not None  # it has a mask
-    encoder, of = found.encoder, (encoder_name(config), mask.tobytes())
+    encoder, latents = found.encoder, jnp.asarray(mask)
+    of = encoder_name(config), mask.tobytes(), "region" in METHODS[method].needs
     if of not in work.regions:
-        work.regions[of] = find_region(encoder, jnp.asarray(mask), trial.held_out.images, run.key)
-    return evidence_for(config, run.system, encoder, jnp.asarray(mask), work.regions[of])
+        work.regions[of] = region_for(trial, encoder, latents, [method])
+    return evidence_for(config, run.system, encoder, latents, work.regions[of])
 
 
 class PointMask(NamedTuple):

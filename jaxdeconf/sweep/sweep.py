@@ -155,7 +155,7 @@ def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, 
         method,
         lambda: demonstrations_for(config, run.system, trial.collected),
         imitated(lengths, config.clone),
-        evidence_of(work, config, found),
+        evidence_of(work, config, name, found),
         run.key,
         config.clone,
     )
