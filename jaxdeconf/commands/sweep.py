@@ -87,7 +87,7 @@ def read(
     held = None if place is None else read_sweep(place)
     if held is None:
         preset = choose(presets[early.system], early.preset)
-        default = Arguments(config=replace(preset, methods=masking()))
+        default = Arguments(config=replace(preset, methods=masking()[:1]))
     else:
         default = Arguments(config=held.base, seeds=held.seeds)
     asked = parse(Arguments, "jaxdeconf sweep", __doc__ or "", words, default)
