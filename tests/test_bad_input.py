@@ -51,7 +51,10 @@ TRAJECTORIES = Trajectories(
 VAE, RESNET = VAEConfig(channels=(4, 4)), ResNetConfig(width=4)
 POLICY = Policy(identity, RESNET, 2, {}, {})
 NONE = jnp.zeros((1, 1, 1))
-MASK = Mask(jnp.zeros(1, bool), NONE[0], NONE, NONE > 0, jnp.zeros(()), NONE[0], NONE)
+MASK = Mask(
+    *(jnp.zeros(1, bool), NONE[0], NONE, NONE > 0, jnp.zeros(())),
+    *(NONE[0], NONE, NONE[0] > 0, NONE > 0),
+)
 # Seven episodes of three steps, frames to go with them, and a β-VAE of such frames.
 FRAMES = np.zeros((20, 16, 24, 3), np.uint8)
 DEMOS = Demos(np.zeros((7, 3, 16, 24, 3), np.uint8), np.zeros((7, 3, 1)), np.zeros((7, 2)))

@@ -1,8 +1,8 @@
 """Tests of independence by ranks: statistics of all pairs of columns, and their null law.
 
-hoeffding_d, refined_d    D and the refined R, exactly, N log N a pair, on one scale
+hoeffding_d, refined_d    D and the refined R, N log N a pair, on one scale; R for ties, too
 p_value, threshold        their asymptotic law under independence, and its inverse
-permutation_p_value       for discrete data, where that law is too wide
+permutation_p_value       exact in level for any statistic and few samples
 """
 
 from jaxdeconf.independence.hoeffding import hoeffding_d
