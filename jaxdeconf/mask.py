@@ -102,27 +102,21 @@ def find_mask(
     Raises:
       ValueError: if shapes do not fit, values are not finite, or there are too few trajectories.
     """
-    named = {"initial_states": initial_states, "observations": observations, "actions": actions}
-    forms = {"initial_states": "[N, S]", "observations": "[N, O]", "actions": "[N, H, A]"}
-    axes = {"initial_states": 2, "observations": 2, "actions": 3}
-    shapes = {}
-    for name, value in named.items():
-        given = checks.array(name, value, forms[name], (None,) * axes[name], finite=True)
-        shapes[name] = given.shape
-        n, states = shapes["initial_states"]
-        checks.same_length(name, len(given), n, "trajectories")
+    states = checks.array("initial_states", initial_states, "[N, S]", (None, None), finite=True)
+    n, coordinates = states.shape
     checks.integer("trajectories in initial_states", n, least=5)
+    latents = checks.array("observations", observations, f"[{n}, O]", (n, None), finite=True)
+    controls = checks.array("actions", actions, f"[{n}, H, A]", (n, None, None), finite=True)
     checks.one_of("statistic", statistic, tuple(STATISTICS))
-    (_, latents), (_, horizon, controls) = shapes["observations"], shapes["actions"]
-    tests = states * (latents + horizon * controls)
-    gamma = effective_threshold(threshold, alpha, n, tests)
-    tested = _side_by_side(observations, actions)
-    d, tied = with_ties(initial_states, tested, STATISTICS[statistic](initial_states, tested))
+    tested = _side_by_side(latents, controls)
+    gamma = effective_threshold(threshold, alpha, n, coordinates * tested.shape[1])
+    d, tied = with_ties(states, tested, STATISTICS[statistic](states, tested))
     if not isinstance(tied, Tracer) and tied.any():
-        _warn_of_few_events(named)
+        _warn_of_few_events(initial_states=states, observations=latents, actions=controls)
 
     def split(pairs: Array) -> tuple[Array, Array]:
-        return pairs[:, :latents], pairs[:, latents:].reshape(states, horizon, controls)
+        observed, acted = jnp.split(pairs, [latents.shape[1]], axis=1)
+        return observed, acted.reshape(coordinates, *controls.shape[1:])
 
     (state_observation, state_action), tied = split(d), split(tied)
     potential_cause = potential_causes(state_observation, state_action, gamma)
@@ -139,9 +133,9 @@ def find_mask(
     )
 
 
-def _warn_of_few_events(named: dict[str, ArrayLike]) -> None:
-    for name, value in named.items():
-        for column, events in few_events(value).items():
+def _warn_of_few_events(**named: ArrayLike) -> None:
+    for name, values in named.items():
+        for column, events in few_events(values).items():
             warnings.warn(
                 f"{name}: column {column} has its most frequent value in all but {events} "
                 "trajectories, too few to find what it depends on; it may be masked for that",

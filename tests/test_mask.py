@@ -192,8 +192,10 @@ def test_the_defaults_are_those_of_the_config():
 def test_wrong_arguments():
     states, observations, actions = trajectories(0)
     with pytest.raises(
-        ValueError, match=r"actions: expected numbers of shape .N, H, A., got .*\(120, 2\)"
+        ValueError, match=r"actions: expected numbers of shape .120, H, A., got .*\(120, 2\)"
     ):
         find_mask(states, observations, actions[:, :, 0])
-    with pytest.raises(ValueError, match="observations: expected 120 trajectories, got 119"):
+    with pytest.raises(
+        ValueError, match=r"observations: expected numbers of shape .120, O., got .*\(119, 4\)"
+    ):
         find_mask(states, observations[1:], actions)
