@@ -39,7 +39,9 @@ from jaxdeconf.independence.ranks import Ranks, columns, rank_on_device, rank_on
 TIED = 0.01
 FEW = 10.0  # expected coincidences of two rare events below which no normal law holds
 FEWEST = 5  # events of a column, to tell anything from
-HARMONICS, EIGENVALUES, WEIGHTS, NODES = 16, 8, 24, 32
+HARMONICS = 16
+EIGENVALUES, WEIGHTS = 8, 24  # the largest, of a column and of a pair; the rest count by their mean
+NODES = 32  # of the contour: the survival is then good to 1e-3, and to 1e-6 below 0.1
 
 
 def with_ties(x: ArrayLike, y: ArrayLike, d: Array) -> tuple[Array, Array]:
@@ -62,7 +64,7 @@ def with_ties(x: ArrayLike, y: ArrayLike, d: Array) -> tuple[Array, Array]:
                 return d, jnp.zeros(d.shape, bool)
             ranks = map(_with_ends, ranks)
         r, tied = (part.reshape(d.shape) for part in _scaled(*ranks))
-        return jnp.where(tied, r.astype(d.dtype), d), tied
+        return jnp.where(tied & ~jnp.isnan(d), r.astype(d.dtype), d), tied
 
 
 def _with_ends(ranks: Ranks) -> Ranks:
@@ -113,11 +115,11 @@ def _columns(ranks: Ranks) -> _Columns:
     harmonic = jnp.arange(1, HARMONICS + 1)[:, None]
     features = jnp.sqrt(2.0) / (jnp.pi * harmonic) * jnp.stack(cosines[1:], axis=1)
     features = features - features.mean(axis=-1, keepdims=True)
-    eigenvalues = jnp.linalg.eigvalsh(features @ features.swapaxes(1, 2) / n)
+    eigenvalues = jnp.linalg.eigvalsh(features @ features.swapaxes(1, 2) / n)[:, -EIGENVALUES:]
     most = jnp.take_along_axis(first, jax.lax.argmax(sharing, 1, jnp.int32)[:, None], axis=1)
     return _Columns(
         features=features,
-        eigenvalues=jnp.maximum(eigenvalues[:, -EIGENVALUES:], 0.0),
+        eigenvalues=jnp.where(eigenvalues > 1e-15, eigenvalues, 0.0),  # the others are rounding
         trace=(features**2).mean(axis=-1).sum(axis=-1),
         rare=(first != most).astype(float),
         tied=sharing.mean(axis=1) > TIED * (n - 1),
@@ -149,12 +151,13 @@ def _scaled(ranks_x: Ranks, ranks_y: Ranks) -> tuple[Array, Array]:
 
 def log_survival(q: Array, weights: Array) -> Array:
     """log P(sum of weights Z^2 > q), Z standard normal, for weights [k] >= 0; 0 if all are 0."""
+    # All is in units of the largest weight, so that the branch cut begins at t = 1/2.
     largest = weights.max()
     some = (largest > 0) & (q > 0)
     w = weights / jnp.where(some, largest, 1.0)
     q = jnp.where(some, q / jnp.where(some, largest, 1.0), 1.0)
 
-    # The saddle point t = (1 - u) / 2 of K(t) - log t - t q, by halving; the cut begins at u = 0.
+    # The saddle point t = (1 - u) / 2 of K(t) - log t - t q, by halving.
     def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
         u = (low + high) / 2

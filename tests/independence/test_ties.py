@@ -145,6 +145,13 @@ def test_a_constant_column_has_no_evidence():
     np.testing.assert_array_equal(p_values(np.ones(N), y), 1.0)
 
 
+def test_a_missing_statistic_stays_missing():
+    x = np.resize(np.arange(3.0), (N, ROWS))
+    d, tied = with_ties(x, np.resize(x, (N, COLS)), jnp.full((ROWS, COLS), jnp.nan))
+    assert tied.all()
+    assert np.isnan(d).all()
+
+
 def test_columns_of_few_events_are_counted():
     table = np.zeros((50, 2, 3))
     table[:4, 0, 1], table[:5, 0, 2], table[:, 1] = 7, 7, np.arange(50.0)[:, None]
