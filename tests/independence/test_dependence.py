@@ -19,7 +19,7 @@ def test_it_is_the_statistics_and_their_p_values():
     np.testing.assert_array_equal(found.p, jd.p_value(found.R, N))
     want = stats.false_discovery_control(found.p, axis=None).reshape(2, 3)
     np.testing.assert_allclose(found.q, want, rtol=1e-5)
-    np.testing.assert_array_equal(found.q < 0.05, [[True, False, False], [False, False, True]])
+    np.testing.assert_array_equal(found.q < 0.01, [[True, False, False], [False, False, True]])
 
 
 @pytest.mark.parametrize("shape", [(), (7,), (3, 40)])
