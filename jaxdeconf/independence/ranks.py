@@ -54,11 +54,15 @@ def _count_nan(array: Array) -> int:
 
 def rank_on_host(values: np.ndarray) -> Ranks:
     """Ranks of `values` [V, N] by NumPy, whose sort is 2 to 5 times faster than XLA's on CPU."""
-    n = values.shape[1]
-    order = np.argsort(values, axis=1).astype(np.int32)
-    ordered = np.take_along_axis(values, order, axis=1)
-    rank = np.empty_like(order)
-    np.put_along_axis(rank, order, np.arange(n, dtype=np.int32)[None], axis=1)
+    variables, n = values.shape
+    values = np.ascontiguousarray(values)
+    order = np.argsort(values, axis=1)
+    # By flat places, which NumPy reads and writes in half the time of (take|put)_along_axis.
+    place = order + n * np.arange(variables)[:, None]
+    ordered = values.reshape(-1)[place]
+    rank = np.empty(values.shape, np.int32)
+    rank.reshape(-1)[place] = np.arange(n, dtype=np.int32)
+    order = order.astype(np.int32)
     same = ordered[:, 1:] == ordered[:, :-1]  # -0.0 == 0.0
     if not same.any():
         return Ranks(order, rank, None, None)
