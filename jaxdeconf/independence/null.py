@@ -44,12 +44,12 @@ def p_value(d: ArrayLike, n: ArrayLike) -> Array:
     Returns:
       `d`'s shape, in [0, 1]; within 1e-5 of the asymptotic law.
     """
-    values, samples = checks.plain("d", d), checks.plain("n", n)
-    if not isinstance(samples, Tracer) and not np.all(samples >= 5):
+    if not isinstance(n, Tracer) and not np.all(np.asarray(n) >= 5):
         raise ValueError(f"n: expected at least 5 samples, got {n}")
+    values = checks.plain("d", d)
     if not jnp.issubdtype(values.dtype, np.floating):
         raise ValueError(f"d: expected floats, got {values.dtype}")
-    w = 1.2 * (jnp.asarray(samples, float) - 1) * jnp.asarray(values)
+    w = 1.2 * (jnp.asarray(n, float) - 1) * jnp.asarray(values)
     body = jnp.interp(w, jnp.asarray(_W), jnp.asarray(_LOG_SURVIVAL), left=0.0)
     tail = _log_tail(jnp.maximum(w, _W[-1]))
     return jnp.exp(jnp.where(w > _W[-1], tail, body))
