@@ -26,8 +26,10 @@ import numpy as np
 
 from jaxdeconf.independence import hoeffding_d
 
-CASES = [(1, 1, 10**k) for k in range(3, 8)]
-CASES += [(4, 6, 1000), (6, 32, 2000), (16, 64, 4096), (64, 256, 10_000)]
+# Rows, columns, samples, and of how many values each column is; 0 for no ties.
+CASES = [(1, 1, 10**k, 0) for k in range(3, 8)]
+CASES += [(4, 6, 1000, 0), (6, 32, 2000, 0), (16, 64, 4096, 0), (64, 256, 10_000, 0)]
+CASES += [(64, 256, 1000, 0), (3, 2048, 1000, 0), (64, 256, 1000, 9), (3, 2048, 1000, 9)]
 CHECKED = 3  # pairs of a batch that are checked and that peers are timed on
 QUADRATIC = 5000  # samples beyond which the O(N^2) peers are left out
 
@@ -60,17 +62,40 @@ for (name in names(peers)) {
 """
 
 
-def batch(rows: int, cols: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weakly dependent columns without ties, exact in float32."""
+def batch(rows: int, cols: int, n: int, values: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weakly dependent columns, of so many values or without ties, exact in float32."""
     rng = np.random.default_rng(n + rows * cols)
     x = rng.normal(size=(n, rows))
     y = rng.normal(size=(n, cols)) + 0.1 * x[:, np.arange(cols) % rows]
     ranks = [np.argsort(np.argsort(v, axis=0), axis=0) for v in (x, y)]
+    if values:
+        ranks = [rank * values // n for rank in ranks]
     return ranks[0].astype(np.float64), ranks[1].astype(np.float64)
 
 
 def exact_d(x: np.ndarray, y: np.ndarray) -> float:
-    """30 D_n without ties: merge-sort counts and extended precision, sharing no line with ours."""
+    """30 D_n by counts and in extended precision, sharing no line with ours."""
+    tied = len(np.unique(x)) < len(x) or len(np.unique(y)) < len(y)
+    a, b, c = (v.astype(np.longdouble) for v in (tied_counts if tied else merge_counts)(x, y))
+    n = len(x)
+    e, d = a * b - (n - 2) * c, n - 1 - a - b + c
+    total = np.sum(e * (e + 1 - a - b) - (n - 2) * c * (d - 1))
+    return float(30 * total / np.prod(np.longdouble(n) - np.arange(5)))
+
+
+def tied_counts(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples below each in x, in y and in both, one that is tied counting half, in N^2."""
+
+    def below(v: np.ndarray) -> np.ndarray:
+        half = (v[None, :] < v[:, None]) + 0.5 * (v[None, :] == v[:, None])
+        return half - 0.5 * np.eye(len(v))
+
+    in_x, in_y = below(x), below(y)
+    return in_x.sum(axis=1), in_y.sum(axis=1), (in_x * in_y).sum(axis=1)
+
+
+def merge_counts(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same without ties, by merging."""
     n = len(x)
     bits = max(1, (n - 1).bit_length())
     size = 1 << bits
@@ -89,10 +114,7 @@ def exact_d(x: np.ndarray, y: np.ndarray) -> float:
         following = np.empty_like(stream)
         following[place] = stream
         stream = following
-    a, b, c = (v[:n].astype(np.longdouble) for v in (np.arange(size), in_y, both))
-    e, d = a * b - (n - 2) * c, n - 1 - a - b + c
-    total = np.sum(e * (e + 1 - a - b) - (n - 2) * c * (d - 1))
-    return float(30 * total / np.prod(np.longdouble(n) - np.arange(5)))
+    return np.arange(n), in_y[:n], both[:n]
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -102,9 +124,9 @@ def seconds(call: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def measure(rows: int, cols: int, n: int, repeats: int) -> dict:
+def measure(rows: int, cols: int, n: int, values: int, repeats: int) -> dict:
     """One batch in this process, whose peak memory is then this batch's."""
-    host = x, y = batch(rows, cols, n)
+    host = x, y = batch(rows, cols, n, values)
     on_device = jax.default_backend() != "cpu"
     if on_device:
         x, y = (jax.device_put(v.astype(np.float32)) for v in host)
@@ -116,11 +138,11 @@ def measure(rows: int, cols: int, n: int, repeats: int) -> dict:
         peak = (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**20
     else:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before
-    values = np.asarray(hoeffding_d(x, y))
+    found = np.asarray(hoeffding_d(x, y))
     picked = [(i % rows, (7 * i) % cols) for i in range(min(CHECKED, rows * cols))]
     chosen = [(host[0][:, s], host[1][:, p]) for s, p in picked]
     exact = [exact_d(*pair) for pair in chosen]
-    error = max(abs(float(values[at]) - d) for at, d in zip(picked, exact, strict=True))
+    error = max(abs(float(found[at]) - d) for at, d in zip(picked, exact, strict=True))
     single = [(x[:, s], y[:, p]) for s, p in picked]
     jax.block_until_ready(hoeffding_d(*single[0]))
     loop = np.mean([seconds(partial(hoeffding_d, *pair)) for pair in single * 3])
@@ -128,6 +150,7 @@ def measure(rows: int, cols: int, n: int, repeats: int) -> dict:
         "rows": rows,
         "cols": cols,
         "n": n,
+        "values": values,
         "compile_s": max(0.0, first - run),
         "median_ms": 1e3 * run,
         "us_per_pair": 1e6 * run / (rows * cols),
@@ -195,7 +218,8 @@ def show(result: dict) -> None:
     """A row of the table, and under it the peers'."""
     r = result
     print(
-        f"{r['rows']:>3}x{r['cols']:<3} N={r['n']:<9} compile {r['compile_s']:5.1f} s   "
+        f"{r['rows']:>3}x{r['cols']:<4} N={r['n']:<9} {r['values'] or 'all':>3} values   "
+        f"compile {r['compile_s']:5.1f} s   "
         f"median {r['median_ms']:9.2f} ms   {r['us_per_pair']:10.1f} us/pair   "
         f"{r['pairs_per_s']:9.1f} pairs/s   peak +{r['peak_mb_over_inputs']:.0f} MB   "
         f"error {r['max_error']:.0e}   loop {r['loop_us_per_pair']:.1f} us/pair",
@@ -219,7 +243,7 @@ def plot(results: list[dict], device: str, path: Path) -> None:
 
     figure, axes = pyplot.subplots(figsize=(7, 4.5), layout="constrained")
     one = [r for r in results if r["rows"] * r["cols"] == 1]
-    many = [r for r in results if r["rows"] * r["cols"] > 1]
+    many = [r for r in results if r["rows"] * r["cols"] > 1 and not r["values"]]
     axes.loglog([r["n"] for r in one], [r["us_per_pair"] for r in one], "k-o", label="one pair")
     axes.loglog([r["n"] for r in many], [r["us_per_pair"] for r in many], "k--s", label="batches")
     for name in sorted({name for r in results for name in r["peers"]}):
@@ -239,11 +263,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for hoeffding.json and hoeffding.png")
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--largest", type=int, default=10**7, help="most samples of one pair")
-    parser.add_argument("--case", nargs=3, type=int, help="rows, columns, samples; prints JSON")
+    parser.add_argument("--case", nargs=4, type=int, help="as in CASES; prints JSON")
     arguments = parser.parse_args()
     if arguments.case:
-        rows, cols, n = arguments.case
-        print(json.dumps(measure(rows, cols, n, arguments.repeats)))
+        rows, cols, n, values = arguments.case
+        print(json.dumps(measure(rows, cols, n, values, arguments.repeats)))
         return
     device = jax.devices()[0].device_kind
     device = f"{platform.machine()} {device}" if device == "cpu" else device

@@ -15,6 +15,7 @@ from jaxdeconf.deconfound import clone_policy, deconfound, learn_latents, mask_l
 from jaxdeconf.demos import Demos
 from jaxdeconf.evaluate import copycat, drive, rollout_loss
 from jaxdeconf.independence import (
+    dependence,
     hoeffding_d,
     p_value,
     permutation_p_value,

@@ -106,11 +106,7 @@ def array(
       of: "numbers", "floats", "bool" or "uint8".
       finite: whether NaN and infinity are refused.
     """
-    try:
-        given = value if isinstance(value, jax.Array) else np.asarray(value)
-    except ValueError:  # ragged
-        given = np.asarray(None)
-    types = _TYPES[of]
+    given, types = plain(name, value), _TYPES[of]
     fits = len(given.shape) == len(shape) and all(
         size == wanted or (wanted is None and size > 0)
         for size, wanted in zip(given.shape, shape, strict=True)
@@ -120,6 +116,22 @@ def array(
         raise ValueError(f"{name}: expected {of} of shape {form}, got {got}")
     if finite and not isinstance(given, Tracer):
         finite_numbers(name, np.asarray(given))
+    return given
+
+
+def plain(name: str, value: Any) -> Any:
+    """A value as an array, NumPy's or JAX's, if no mask, unit or time is lost on the way."""
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name}: expected no masked values, got {np.ma.count_masked(value)}")
+    unit = getattr(value, "units", getattr(value, "unit", None))  # pint, unyt; astropy
+    if unit is not None:
+        raise ValueError(f"{name}: expected numbers without a unit, got some in {unit}")
+    try:
+        given = value if isinstance(value, jax.Array) else np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"{name}: expected an array, got rows of different lengths") from error
+    if given.dtype.kind in "mM":  # to NumPy, a time span is an integer
+        raise ValueError(f"{name}: expected numbers, got {given.dtype} of shape {given.shape}")
     return given
 
 

@@ -3,9 +3,12 @@
 An observation may cause an action if some initial state is dependent on both. An observation
 that may cause no action within the reaction horizon is masked. Everything is read at the first
 time step, where the intervention on the initial state has cut every other common cause.
+Columns of few values (buttons, grippers, saturated actions) are tested by the refined R, whatever
+the statistic: a rare cause is not masked in silence.
 Shapes: N trajectories, S state, O latent observation, H reaction horizon, A action.
 """
 
+import warnings
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -18,6 +21,7 @@ from jax.typing import ArrayLike
 from jaxdeconf import checks
 from jaxdeconf.independence import hoeffding_d, p_value, refined_d
 from jaxdeconf.independence import threshold as null_threshold
+from jaxdeconf.independence.ties import few_events, with_ties
 from jaxdeconf.traced import Traced, traceable
 
 # By name; on one scale and with one null law.
@@ -49,12 +53,14 @@ class Mask(NamedTuple):
     """The mask and the evidence for it; with thresholds [...], the mask of each."""
 
     mask: Array  # [..., O] bool: True where the observation is to be masked
-    state_observation: Array  # [S, O] the statistic
+    state_observation: Array  # [S, O] the statistic; where tied, R
     state_action: Array  # [S, H, A] the statistic
     potential_cause: Array  # [..., O, H, A] bool: the observation may cause the action
     threshold: Array  # [...] dependence means a statistic above it
     p_state_observation: Array  # [S, O] asymptotic p-values of one test each
     p_state_action: Array  # [S, H, A]
+    tied_state_observation: Array  # [S, O] bool: for its ties the pair was tested by R
+    tied_state_action: Array  # [S, H, A] bool
 
     def within(self, horizon: int) -> Array:
         """[..., O] the mask for a reaction horizon no longer than H, at the same thresholds.
@@ -81,34 +87,38 @@ def find_mask(
       observations: [N, O] latent observation at the first time step.
       actions: [N, H, A] expert actions over the reaction horizon.
       threshold: dependence means a statistic above it; the paper's gamma. Or several of them,
-        [...], for a mask each from the same statistics.
+        [...], for a mask each from the same statistics. With ties, a pair's R is on the scale of
+        its p-value: gamma then is what it is for continuous pairs, a level of significance.
       alpha: dependence means a statistic above the larger of `threshold` and the one that
         independent pairs exceed with family-wise probability alpha. The family is every test
         that Algorithm 1 makes, m = S (O + H A): any of them can leave a nuisance unmasked. None
         leaves the bare thresholds.
-      statistic: "hoeffding", the paper's D, or "refined", Blum, Kiefer & Rosenblatt's R.
+      statistic: "hoeffding", the paper's D, or "refined", Blum, Kiefer & Rosenblatt's R. Pairs of
+        which a column is tied are always tested by R: D of such columns sees next to nothing.
     Returns:
       The mask and the statistics it follows from.
+    Warns:
+      UserWarning: if ties leave a column fewer than five samples to depend on anything with.
     Raises:
       ValueError: if shapes do not fit, values are not finite, or there are too few trajectories.
     """
-    named = {"initial_states": initial_states, "observations": observations, "actions": actions}
-    forms = {"initial_states": "[N, S]", "observations": "[N, O]", "actions": "[N, H, A]"}
-    axes = {"initial_states": 2, "observations": 2, "actions": 3}
-    shapes = {}
-    for name, value in named.items():
-        given = checks.array(name, value, forms[name], (None,) * axes[name], finite=True)
-        shapes[name] = given.shape
-        n, states = shapes["initial_states"]
-        checks.same_length(name, len(given), n, "trajectories")
+    states = checks.array("initial_states", initial_states, "[N, S]", (None, None), finite=True)
+    n, coordinates = states.shape
     checks.integer("trajectories in initial_states", n, least=5)
+    latents = checks.array("observations", observations, f"[{n}, O]", (n, None), finite=True)
+    controls = checks.array("actions", actions, f"[{n}, H, A]", (n, None, None), finite=True)
     checks.one_of("statistic", statistic, tuple(STATISTICS))
-    (_, latents), (_, horizon, controls) = shapes["observations"], shapes["actions"]
-    tests = states * (latents + horizon * controls)
-    gamma = effective_threshold(threshold, alpha, n, tests)
-    d = STATISTICS[statistic](initial_states, _side_by_side(observations, actions))
-    state_observation = d[:, :latents]
-    state_action = d[:, latents:].reshape(states, horizon, controls)
+    tested = _side_by_side(latents, controls)
+    gamma = effective_threshold(threshold, alpha, n, coordinates * tested.shape[1])
+    d, tied = with_ties(states, tested, STATISTICS[statistic](states, tested))
+    if not isinstance(tied, Tracer) and tied.any():
+        _warn_of_few_events(initial_states=states, observations=latents, actions=controls)
+
+    def split(pairs: Array) -> tuple[Array, Array]:
+        observed, acted = jnp.split(pairs, [latents.shape[1]], axis=1)
+        return observed, acted.reshape(coordinates, *controls.shape[1:])
+
+    (state_observation, state_action), tied = split(d), split(tied)
     potential_cause = potential_causes(state_observation, state_action, gamma)
     return Mask(
         mask=~potential_cause.any(axis=(-2, -1)),
@@ -118,7 +128,19 @@ def find_mask(
         threshold=gamma,
         p_state_observation=p_value(state_observation, n),
         p_state_action=p_value(state_action, n),
+        tied_state_observation=tied[0],
+        tied_state_action=tied[1],
     )
+
+
+def _warn_of_few_events(**named: ArrayLike) -> None:
+    for name, values in named.items():
+        for column, events in few_events(values).items():
+            warnings.warn(
+                f"{name}: column {column} has its most frequent value in all but {events} "
+                "trajectories, too few to find what it depends on; it may be masked for that",
+                stacklevel=3,
+            )
 
 
 def effective_threshold(

@@ -53,7 +53,10 @@ TRAJECTORIES = Trajectories(
 VAE, RESNET = VAEConfig(channels=(4, 4)), ResNetConfig(width=4)
 POLICY = Policy(identity, RESNET, 2, {}, {})
 NONE = jnp.zeros((1, 1, 1))
-MASK = Mask(jnp.zeros(1, bool), NONE[0], NONE, NONE > 0, jnp.zeros(()), NONE[0], NONE)
+MASK = Mask(
+    *(jnp.zeros(1, bool), NONE[0], NONE, NONE > 0, jnp.zeros(())),
+    *(NONE[0], NONE, NONE[0] > 0, NONE > 0),
+)
 # Seven episodes of three steps, frames to go with them, and a β-VAE of such frames.
 FRAMES = np.zeros((20, 16, 24, 3), np.uint8)
 DEMOS = Demos(np.zeros((7, 3, 16, 24, 3), np.uint8), np.zeros((7, 3, 1)), np.zeros((7, 2)))
@@ -121,7 +124,18 @@ BAD = [
     ("y", "7", lambda: refined_d(SAMPLES, SAMPLES[:7])),
     ("x", "1 NaN", lambda: hoeffding_d(np.where(SAMPLES == 3, NAN, SAMPLES), SAMPLES)),
     ("y", "<U1", lambda: hoeffding_d(SAMPLES, list("abcdefgh"))),
+    ("y", "1", lambda: hoeffding_d(SAMPLES, np.ma.masked_equal(SAMPLES, 3.0))),
+    ("x", "datetime64", lambda: hoeffding_d(SAMPLES.astype("datetime64[s]"), SAMPLES)),
+    ("x", "datetime64", lambda: hoeffding_d(np.array(["NaT"] * 8, "datetime64[s]"), SAMPLES)),
+    ("y", "timedelta64", lambda: refined_d(SAMPLES, SAMPLES.astype("timedelta64[s]"))),
+    ("x", "cm", lambda: hoeffding_d(Measured("units"), SAMPLES)),
+    ("y", "cm", lambda: permutation_p_value(SAMPLES, Measured("unit"), KEY)),
+    ("x", "shape (8, 0)", lambda: hoeffding_d(np.zeros((8, 0)), SAMPLES)),
+    ("x", "different lengths", lambda: hoeffding_d([[1, 2], [3], [4], [5], [6]], SAMPLES[:5])),
+    ("x", str(2**31), lambda: hoeffding_d(np.broadcast_to(np.float32(0), 2**31), SAMPLES)),
     ("d", "int", lambda: p_value(3, 10)),
+    ("d", "1", lambda: p_value(np.ma.masked_equal(SAMPLES, 3.0), 10)),
+    ("n", str(2**31), lambda: threshold(2**31)),
     ("n", "4", lambda: p_value(0.1, 4)),
     ("n", "nan", lambda: p_value(0.1, NAN)),
     ("n", "100.0", lambda: threshold(100.0)),
@@ -137,7 +151,17 @@ BAD = [
     ("initial_states", "shape (6,)", lambda: find_mask(STATES[:, 0], OBSERVATIONS, ACTIONS)),
     ("trajectories in initial_states", "4", lambda: find_mask(*few(4))),
     ("observations", "inf at [0, 0]", lambda: find_mask(STATES, OBSERVATIONS * INF, ACTIONS)),
-    ("observations", "5", lambda: find_mask(STATES, OBSERVATIONS[1:], ACTIONS)),
+    ("observations", "(5, 2)", lambda: find_mask(STATES, OBSERVATIONS[1:], ACTIONS)),
+    (
+        "actions",
+        "1",
+        lambda: find_mask(
+            STATES,
+            OBSERVATIONS,
+            np.ma.array(ACTIONS, mask=ACTIONS.cumsum().reshape(ACTIONS.shape) == 4),
+        ),
+    ),
+    ("initial_states", "cm", lambda: find_mask(Measured("units"), OBSERVATIONS, ACTIONS)),
     ("actions", "shape (6, 0, 1)", lambda: find_mask(STATES, OBSERVATIONS, ACTIONS[:, :0])),
     ("threshold", "nan", lambda: find_mask(STATES, OBSERVATIONS, ACTIONS, NAN)),
     ("threshold", "-0.1", lambda: find_mask(STATES, OBSERVATIONS, ACTIONS, [0.1, -0.1])),
@@ -289,6 +313,16 @@ FEW, ONE_STEP = CollectConfig(expert_trajectories=20), CloneConfig(trajectory_st
 PATCHES = DisentangleConfig(patches=1025, network=VAEConfig(decoder="coordinates"))
 
 
+class Measured:
+    """Numbers with a unit, which `__array__` would drop."""
+
+    def __init__(self, name):
+        setattr(self, name, "cm")
+
+    def __array__(self, dtype=None, copy=None):
+        return SAMPLES
+
+
 def moved(**changed):
     return TRAJECTORIES._replace(**changed)
 
@@ -347,3 +381,14 @@ def test_a_wrong_argument_is_named_in_one_line(argument, shown, call):
         call()
     assert shown in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_lists_and_large_counts_are_ordinary_arguments():
+    np.testing.assert_array_equal(hoeffding_d(SAMPLES.tolist(), SAMPLES), 1.0)
+    assert permutation_p_value(SAMPLES.tolist(), SAMPLES.tolist(), KEY, 1).shape == ()
+    lists = (v.tolist() for v in (STATES, OBSERVATIONS, ACTIONS))
+    np.testing.assert_array_equal(
+        find_mask(*lists).mask, find_mask(STATES, OBSERVATIONS, ACTIONS).mask
+    )
+    p = p_value([1e-9, 1e-9], [2**33, 2**33 - 1000])
+    np.testing.assert_allclose(p, p_value(1e-9 * 2**33 / 1000, 1001), rtol=1e-3)

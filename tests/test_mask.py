@@ -125,6 +125,51 @@ def test_constant_states_mask_everything():
     assert find_mask(np.zeros_like(states), observations, actions).mask.all()
 
 
+@pytest.mark.parametrize("events", [5, 8, 20, 500])
+def test_a_rare_cause_is_kept(events):
+    """An observation that is the state and the action, as a button is, in few of 1000 episodes."""
+    button = np.zeros((1000, 1))
+    button[np.random.default_rng(events).permutation(1000)[:events]] = 1
+    found = find_mask(button, button, button[:, :, None])
+    assert not found.mask.any()
+    assert found.tied_state_observation.all()
+    assert found.tied_state_action.all()
+
+
+def test_too_few_events_are_no_silent_matter():
+    states, observations, actions = trajectories(0)
+    observations[:, 3] = np.arange(120) < 4
+    with pytest.warns(UserWarning, match="observations: column 3 has .* all but 4 trajectories"):
+        found = find_mask(states, observations, actions)
+    np.testing.assert_array_equal(found.tied_state_observation, [[False] * 3 + [True]] * 3)
+    assert not found.tied_state_action.any()
+
+
+def test_the_family_wise_error_of_tied_columns_is_at_most_alpha():
+    """1000 data sets in which nothing depends on anything, three sigma allowed."""
+    rng = np.random.default_rng(7)
+    compiled, wrong = jax.jit(find_mask), 0
+    for _ in range(1000):
+        rare = (rng.random((4, 400)) < 0.03).astype(np.float32)
+        states = np.column_stack([rare[0], rng.normal(size=400)])
+        observations = np.column_stack([rare[1], rng.integers(0, 3, 400)])
+        found = compiled(np.float32(states), np.float32(observations), rare[2:].T[:, :, None])
+        wrong += max(found.state_observation.max(), found.state_action.max()) > found.threshold
+    assert wrong <= 50 + 3 * (50 * 0.95) ** 0.5
+
+
+def test_ties_among_several_thresholds_and_under_jit():
+    states, observations, actions = (v.astype(np.float32) for v in trajectories(8))
+    actions, observations[:, 2] = np.clip(actions, -0.5, 0.5), np.round(observations[:, 2])
+    want = find_mask(states, observations, actions, [1e-3, 0.02, 0.3])
+    assert want.tied_state_action.all()
+    np.testing.assert_array_equal(want.mask[0], [False, False, True, True])
+    np.testing.assert_array_equal(want.p_state_action, p_value(want.state_action, 120))
+    got = jax.jit(find_mask)(states, observations, actions, jnp.array([1e-3, 0.02, 0.3]))
+    for a, b in zip(got, want, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+
+
 def test_jit_jax_arrays_and_mixed_types():
     states, observations, actions = (v.astype(np.float32) for v in trajectories(3))
     want = find_mask(states, observations, actions)
@@ -147,8 +192,10 @@ def test_the_defaults_are_those_of_the_config():
 def test_wrong_arguments():
     states, observations, actions = trajectories(0)
     with pytest.raises(
-        ValueError, match=r"actions: expected numbers of shape .N, H, A., got .*\(120, 2\)"
+        ValueError, match=r"actions: expected numbers of shape .120, H, A., got .*\(120, 2\)"
     ):
         find_mask(states, observations, actions[:, :, 0])
-    with pytest.raises(ValueError, match="observations: expected 120 trajectories, got 119"):
+    with pytest.raises(
+        ValueError, match=r"observations: expected numbers of shape .120, O., got .*\(119, 4\)"
+    ):
         find_mask(states, observations[1:], actions)

@@ -1,13 +1,23 @@
 """Tests of independence by ranks: statistics of all pairs of columns, and their null law.
 
-hoeffding_d, refined_d    D and the refined R, exactly, N log N a pair, on one scale
+hoeffding_d, refined_d    D and the refined R, N log N a pair, on one scale; R for ties, too
 p_value, threshold        their asymptotic law under independence, and its inverse
-permutation_p_value       for discrete data, where that law is too wide
+dependence                D, R, p and false discovery rate of two tables' columns
+permutation_p_value       exact in level for any statistic and few samples
 """
 
+from jaxdeconf.independence.dependence import Dependence, dependence
 from jaxdeconf.independence.hoeffding import hoeffding_d
 from jaxdeconf.independence.null import p_value, threshold
 from jaxdeconf.independence.permutation import permutation_p_value
 from jaxdeconf.independence.refined import refined_d
 
-__all__ = ["hoeffding_d", "p_value", "permutation_p_value", "refined_d", "threshold"]
+__all__ = [
+    "Dependence",
+    "dependence",
+    "hoeffding_d",
+    "p_value",
+    "permutation_p_value",
+    "refined_d",
+    "threshold",
+]

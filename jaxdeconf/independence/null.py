@@ -4,11 +4,14 @@ Source: Hoeffding (1948), section 9; Blum, Kiefer & Rosenblatt (1961), which tab
 continuous margins, W = 1.2 (N - 1) D tends to the sum over i, j >= 1 of
 36 / (pi^4 i^2 j^2) (Z_ij^2 - 1), Z standard normal, and so does W of the refined R.
 `null_survival.csv` is P(W > w) by numerical inversion of that law's characteristic function.
-Ties push D down: the p-values then err on the safe side and lose power; see `permutation_p_value`.
+With ties, D lies below this law: its p-values err on the safe side and lose all power. R has it
+with any margins, by its scale (see `ties`).
 """
 
 import math
 from importlib import resources
+from types import ModuleType
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,17 +35,21 @@ def _log_tail(w: Array) -> Array:
 def p_value(d: ArrayLike, n: ArrayLike) -> Array:
     """P(D > d | independence), asymptotic in the number of samples.
 
+    It holds its level for R of any columns, tied ones too. For D of tied columns it is safe but
+    sees next to nothing: take R's, or `permutation_p_value`.
+
     Args:
       d: any shape, D (or refined R) on the scale of `hoeffding_d`.
       n: number of samples, at least 5; broadcasts with `d`.
     Returns:
-      `d`'s shape, in [0, 1]. Continuous margins assumed; within 1e-5 of the asymptotic law.
+      `d`'s shape, in [0, 1]; within 1e-5 of the asymptotic law.
     """
     if not isinstance(n, Tracer) and not np.all(np.asarray(n) >= 5):
         raise ValueError(f"n: expected at least 5 samples, got {n}")
-    if not jnp.issubdtype(jnp.result_type(d), np.floating):
-        raise ValueError(f"d: expected floats, got {jnp.result_type(d)}")
-    w = 1.2 * (jnp.asarray(n) - 1) * jnp.asarray(d)
+    values = checks.plain("d", d)
+    if not jnp.issubdtype(values.dtype, np.floating):
+        raise ValueError(f"d: expected floats, got {values.dtype}")
+    w = 1.2 * (jnp.asarray(n, float) - 1) * jnp.asarray(values)
     body = jnp.interp(w, jnp.asarray(_W), jnp.asarray(_LOG_SURVIVAL), left=0.0)
     tail = _log_tail(jnp.maximum(w, _W[-1]))
     return jnp.exp(jnp.where(w > _W[-1], tail, body))
@@ -52,7 +59,7 @@ def threshold(n: int, tests: int = 1, alpha: float = 0.05) -> float:
     """The D that independent pairs exceed with family-wise probability at most `alpha`.
 
     Bonferroni: each of the `tests` tests is held to alpha / tests, so it needs no assumption
-    on how the tests depend on each other.
+    on how the tests depend on each other. As for `p_value`, it is right for R of any columns.
 
     Args:
       n: number of samples, at least 5.
@@ -64,16 +71,15 @@ def threshold(n: int, tests: int = 1, alpha: float = 0.05) -> float:
     checks.integer("n", n, least=5)
     checks.integer("tests", tests)
     checks.number("alpha", alpha, "a probability in (0, 1)", 0.0, 1.0)
-    target = math.log(alpha / tests)
-    if target >= _LOG_SURVIVAL[-1]:
-        w = float(np.interp(-target, -_LOG_SURVIVAL, _W))
-    else:
-        w = _invert_tail(target)
-    return w / (1.2 * (n - 1))
+    return float(quantile(math.log(alpha / tests), np) / (1.2 * (n - 1)))
 
 
-def _invert_tail(target: float) -> float:
-    z = -target
-    for _ in range(50):  # z = log(2.46666) - target - log(pi z) / 2: a contraction for z > 1
-        z = math.log(2.46666) - target - 0.5 * math.log(math.pi * z)
-    return 72.0 * z / math.pi**4 - 1.0
+def quantile(log_p: Any, xp: ModuleType = jnp) -> Any:
+    """The W with P(W > w) = exp(log_p), by `xp`, NumPy or jax.numpy."""
+    log_p = xp.asarray(log_p, float)
+    w, log_survival = (xp.asarray(column, log_p.dtype) for column in (_W, _LOG_SURVIVAL))
+    z = deep = xp.maximum(-log_p, -log_survival[-1])  # beyond the table
+    for _ in range(15):  # z = log(2.46666) - log_p - log(pi z) / 2: a contraction for z > 1
+        z = math.log(2.46666) + deep - 0.5 * xp.log(math.pi * z)
+    body = xp.interp(-log_p, -log_survival, w)
+    return xp.where(log_p >= log_survival[-1], body, 72.0 * z / math.pi**4 - 1.0)

@@ -50,7 +50,7 @@ def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
     xs, ys = columns("x", x), columns("y", y)
     if xs.shape[1] != ys.shape[1]:
         raise ValueError(f"y: expected {xs.shape[1]} samples, as x has, got {ys.shape[1]}")
-    shape = jnp.shape(x)[1:] + jnp.shape(y)[1:]
+    shape = np.shape(x)[1:] + np.shape(y)[1:]
     platform = jax.default_backend()
     dtype = jnp.result_type(float)
     settings = _Settings(statistic, platform, shape)

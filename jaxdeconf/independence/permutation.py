@@ -47,11 +47,10 @@ def permutation_p_value(
     if not callable(statistic):
         raise ValueError(f"statistic: expected a function of x and y, got {statistic!r}")
     xs, ys = _ordinal("x", x), _ordinal("y", y)
-    checks.same_length("y", len(ys), len(xs), "samples, as x has")
     values = _permuted(xs, ys, key, permutations, statistic)
     # Equal values are frequent with discrete margins, and must not differ by their rounding.
     level = values[0] - 1e-5 * jnp.abs(values[0])
-    shape = jnp.shape(x)[1:] + jnp.shape(y)[1:]
+    shape = np.shape(x)[1:] + np.shape(y)[1:]
     return jnp.mean(values >= level[None], axis=0, dtype=float).reshape(shape)
 
 

@@ -13,6 +13,8 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
+from jaxdeconf import checks
+
 MIN_SAMPLES = 5  # D_n and R_n are means over quintuples of distinct samples
 
 
@@ -27,14 +29,15 @@ class Ranks(NamedTuple):
 
 def columns(name: str, value: ArrayLike) -> Array | np.ndarray:
     """`value` as [V, N] numbers; host arrays stay on the host, with the precision they came in."""
-    array = value if isinstance(value, jax.Array) else np.asarray(value)
-    if array.ndim not in (1, 2):
+    array = checks.plain(name, value)
+    if array.ndim not in (1, 2) or 0 in array.shape[1:]:
         raise ValueError(f"{name}: expected shape [N] or [N, V], got shape {array.shape}")
     kind = "b" if array.dtype == bool else "f" if jnp.issubdtype(array.dtype, jnp.floating) else ""
     if not kind and not jnp.issubdtype(array.dtype, jnp.integer):
         raise ValueError(f"{name}: expected real numbers, got dtype {array.dtype}")
-    if array.shape[0] < MIN_SAMPLES:
-        raise ValueError(f"{name}: expected at least {MIN_SAMPLES} samples, got {array.shape[0]}")
+    if not MIN_SAMPLES <= array.shape[0] < 2**31:  # ranks are int32
+        expected = f"at least {MIN_SAMPLES} samples and below 2^31"
+        raise ValueError(f"{name}: expected {expected}, got {array.shape[0]}")
     if kind == "b" or (kind == "f" and array.dtype.itemsize < 4):
         array = array.astype(np.float32)  # exact, and sortable everywhere
     array = array.reshape(array.shape[0], -1).T
@@ -51,11 +54,15 @@ def _count_nan(array: Array) -> int:
 
 def rank_on_host(values: np.ndarray) -> Ranks:
     """Ranks of `values` [V, N] by NumPy, whose sort is 2 to 5 times faster than XLA's on CPU."""
-    n = values.shape[1]
-    order = np.argsort(values, axis=1).astype(np.int32)
-    ordered = np.take_along_axis(values, order, axis=1)
-    rank = np.empty_like(order)
-    np.put_along_axis(rank, order, np.arange(n, dtype=np.int32)[None], axis=1)
+    variables, n = values.shape
+    values = np.ascontiguousarray(values)
+    order = np.argsort(values, axis=1)
+    # By flat places, which NumPy reads and writes in half the time of (take|put)_along_axis.
+    place = order + n * np.arange(variables)[:, None]
+    ordered = values.reshape(-1)[place]
+    rank = np.empty(values.shape, np.int32)
+    rank.reshape(-1)[place] = np.arange(n, dtype=np.int32)
+    order = order.astype(np.int32)
     same = ordered[:, 1:] == ordered[:, :-1]  # -0.0 == 0.0
     if not same.any():
         return Ranks(order, rank, None, None)

@@ -19,22 +19,23 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxdeconf.independence.pairs import Below, Statistic, Total, all_pairs
+from jaxdeconf.independence.ties import with_ties
 
 
 def refined_d(x: ArrayLike, y: ArrayLike) -> Array:
     """The refined R on the scale 30 R_n, for every pair of a column of x and a column of y.
 
-    On this scale R has D's law under independence, so `p_value` and `threshold` hold for it.
-    Ties enter by their midranks: R stays consistent, but at order 1/N it is no longer exactly
-    unbiased, nor exactly the same for -x.
+    On this scale R has D's law under independence, so `p_value` and `threshold` hold for it, for
+    columns with ties as well: where ties matter, it is the R of continuous columns that has the
+    p-value of theirs (see `ties`).
 
     Args:
       x: [N] or [N, S] real numbers, N >= 5.
       y: [N] or [N, P] real numbers.
     Returns:
-      [], [P], [S] or [S, P]: R, in [-1/6, 1/3] without ties; types and errors as `hoeffding_d`.
+      [], [P], [S] or [S, P]: R, in [-1/6, 1/3]; types and errors as `hoeffding_d`.
     """
-    return all_pairs(x, y, Statistic(_refined, weighted=True))
+    return with_ties(x, y, all_pairs(x, y, Statistic(_refined, weighted=True)))[0]
 
 
 def _refined(below: Below, n: int, total: Total) -> Array:

@@ -131,7 +131,7 @@ def test_wrong_arguments():
     x = np.arange(6.0)
     with pytest.raises(ValueError, match=r"y: expected 6 samples, as x has, got 5"):
         hoeffding_d(x, x[:5])
-    with pytest.raises(ValueError, match=r"x: expected at least 5 samples, got 4"):
+    with pytest.raises(ValueError, match=r"x: expected at least 5 samples and below 2.31, got 4"):
         hoeffding_d(x[:4], x[:4])
     with pytest.raises(
         ValueError, match=r"y: expected shape \[N\] or \[N, V\], got shape \(6, 1, 1\)"
