@@ -26,23 +26,13 @@ _FLOOR = 3e-3
 _RIDGES = (0.1, 1.0, 10.0, 100.0)
 
 
+@jax.jit
 def spearman(latents: Array, signal: Array) -> Array:
     """[O, A] Spearman rank correlations of latents [n, O] with signals [n, A], both continuous.
 
     A constant latent has rank correlation 0 with everything.
-
-    Raises:
-      ValueError: if they differ in number or are not finite.
     """
-    latents = checks.array("latents", latents, "[n, O]", (None, None), finite=True)
-    form = f"[{len(latents)}, A]"
-    return _spearman(
-        latents, checks.array("signal", signal, form, (len(latents), None), finite=True)
-    )
 
-
-@jax.jit
-def _spearman(latents: Array, signal: Array) -> Array:
     def ranks(values: Array) -> Array:
         order = jnp.argsort(jnp.argsort(values, axis=0), axis=0) - (len(values) - 1) / 2
         return jnp.where(values.max(axis=0) > values.min(axis=0), order, 0.0)
@@ -134,13 +124,6 @@ def explained(signal: Array, latents: Array, key: Array) -> Array:
       key: starts the search for principal components.
     Returns:
       [O] R².
-    Raises:
-      ValueError: if they differ in number, or are fewer than four.
     """
-    checks.key("key", key)
-    signal = checks.array("signal", signal, "[n, A]", (None, None), finite=True)
-    count = checks.integer("rows of signal", len(signal), least=4)
-    latents = checks.array("latents", latents, f"[{count}, O]", (count, None), finite=True)
-    half, signal, latents = count // 2, jnp.asarray(signal), jnp.asarray(latents)
-    components = signal.shape[1]
+    half, components = len(signal) // 2, signal.shape[1]
     return _shares(signal[:half], latents[:half], signal[half:], latents[half:], key, components)

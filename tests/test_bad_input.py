@@ -16,7 +16,7 @@ from jaxdeconf.collect import CollectConfig
 from jaxdeconf.deconfound import clone_policy, deconfound, learn_latents, mask_latents
 from jaxdeconf.demos import Demos
 from jaxdeconf.evaluate import EvaluateConfig
-from jaxdeconf.expert import ExpertConfig, expert_trajectories, plan
+from jaxdeconf.expert import ExpertConfig, plan
 from jaxdeconf.independence import (
     hoeffding_d,
     p_value,
@@ -35,7 +35,7 @@ from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.region import find_region
-from jaxdeconf.systems.rollout import Trajectories, random_trajectories, rollout
+from jaxdeconf.systems.rollout import Trajectories
 from jaxdeconf.views import identity
 from jaxdeconf.vision.nuisance import ColorSquare
 
@@ -88,13 +88,6 @@ BAD = [
     # systems
     ("name", "'pendulum'", lambda: systems.get("pendulum")),
     ("name", "['cartpole']", lambda: systems.get(["cartpole"])),
-    ("system", "'cartpole'", lambda: random_trajectories("cartpole", KEY, 3)),
-    ("count", "0", lambda: random_trajectories(SYSTEM, KEY, 0)),
-    ("count", "2.5", lambda: random_trajectories(SYSTEM, KEY, 2.5)),
-    ("key", "int32 of shape ()", lambda: random_trajectories(SYSTEM, 7, 3)),
-    ("state", "shape (3,)", lambda: rollout(SYSTEM, loss, None, np.zeros(3), KEY)),
-    ("state", "int", lambda: rollout(SYSTEM, loss, None, np.zeros(4, int), KEY)),
-    ("key", "of shape (2,)", lambda: rollout(SYSTEM, loss, None, STATES[0], jax.random.split(KEY))),
     ("size", "96", lambda: replace(SYSTEM, size=96)),
     ("size", "0", lambda: replace(SYSTEM, size=(96, 0))),
     # vision
@@ -108,8 +101,6 @@ BAD = [
     ("initial_states", "complex64", lambda: plan(SYSTEM, STATES + 1j)),
     ("system", "'cartpole'", lambda: plan("cartpole", STATES)),
     ("config", "30", lambda: plan(SYSTEM, STATES, 30)),
-    ("key", "0", lambda: expert_trajectories(SYSTEM, STATES, 0)),
-    ("config", "FitConfig", lambda: expert_trajectories(SYSTEM, STATES, KEY, FitConfig())),
     ("horizon", "-1", lambda: ExpertConfig(horizon=-1)),
     ("horizon", "True", lambda: ExpertConfig(horizon=True)),
     ("horizon", str(10**30), lambda: ExpertConfig(horizon=10**30)),
@@ -220,8 +211,7 @@ BAD = [
     ("network", "ResNetConfig", lambda: DisentangleConfig(network=RESNET)),
     ("start_components", "2", lambda: DisentangleConfig(start_components=2)),
     ("patches", "64", lambda: DisentangleConfig(patches=64)),
-    ("count", "9", lambda: linear_start(jnp.zeros((8, 100)), 9, KEY)),
-    ("images", "shape (8,)", lambda: linear_start(jnp.zeros(8), 1, KEY)),
+    ("among", "9", lambda: linear_start(jnp.zeros((8, 100)), 9, KEY)),
     # the three steps, and all of them; `Demos` has a table of its own in test_demos.py
     ("images", "float64", lambda: learn_latents(FRAMES / 255, FRAMES, KEY)),
     ("images", "shape (16, 24, 3)", lambda: learn_latents(FRAMES[0], FRAMES, KEY)),
@@ -279,10 +269,6 @@ BAD = [
     ("policy", "function", lambda: evaluate.copycat(SYSTEM, loss, TRAJECTORIES, KEY)),
     ("system", "'cartpole'", lambda: evaluate.copycat("cartpole", POLICY, TRAJECTORIES, KEY)),
     ("key", "int32", lambda: evaluate.copycat(SYSTEM, POLICY, TRAJECTORIES, jnp.int32(3))),
-    ("signal", "shape (5, 1)", lambda: leakage.spearman(OBSERVATIONS, np.ones((5, 1)))),
-    ("latents", "shape (5, 1)", lambda: leakage.explained(OBSERVATIONS, np.ones((5, 1)), KEY)),
-    ("rows of signal", "3", lambda: leakage.explained(OBSERVATIONS[:3], OBSERVATIONS[:3], KEY)),
-    ("latents", "nan", lambda: leakage.spearman(OBSERVATIONS * NAN, OBSERVATIONS)),
     ("train_signal", "(6,)", lambda: r_squared(train_signal=np.ones(6))),
     ("test_signal", "nan at [0, 0]", lambda: r_squared(test_signal=np.full((6, 1), NAN))),
     ("test", "shape (6, 32, 64, 3)", lambda: r_squared(test=IMAGES[:, :32])),

@@ -126,8 +126,6 @@ def expert_trajectories(
       ValueError: if `initial_states` has another shape or is not finite.
     """
     config = ExpertConfig() if config is None else config
-    checks.instance("config", config, ExpertConfig)
-    checks.key("key", key)
     return _trajectories(system, _states(system, initial_states), key, config)
 
 

@@ -85,11 +85,8 @@ def linear_start(images: Array, count: int, key: Array, among: int | None = None
     Raises:
       ValueError: if there are fewer images than components, or fewer of these than O.
     """
-    images = checks.array("images", images, "[n, P]", (None, None), of="floats")
-    checks.integer("count", count, most=min(images.shape))
     among = count if among is None else among
     checks.integer("among", among, least=count, most=min(images.shape))
-    checks.key("key", key)
     subspace_key, rotation_key = jax.random.split(key)
     mean = images.mean(axis=0)
     centred = images - mean

@@ -142,7 +142,8 @@ def _dependences(results: Results) -> Iterator[str]:
     note = (
         "Share: of its variance, what a regression on the previous action explains; |Spearman|: "
         f"with the previous action; both on held-out random-policy frames. {symbol}: the statistic "
-        f"({name}), with its p-value under independence; bold above γ = {gamma:.3g}."
+        f"({name}), with its p-value under independence; bold above γ = {gamma:.3g}. Where a "
+        "column takes few values, as an action does at its limit, it is R, on the same scale."
     )
     yield page.table(["latent", "", "KL (nats)", "share", "|Spearman|", *states], rows, note)
     tests = np.stack([results.state_action, p_values.state_action])

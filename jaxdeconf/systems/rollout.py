@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxdeconf import checks
 from jaxdeconf.systems.system import System
 
 # (memory, state [S], previous action [A], key) -> (memory, action [A])
@@ -47,12 +46,7 @@ def rollout(system: System, policy: Policy, memory: Any, state: Array, key: Arra
       key: draws the random previous action of the first step and the policy's own randomness.
     Returns:
       Trajectories without the leading axis N.
-    Raises:
-      ValueError: if `state` is not [S] floats, or `key` is no key.
     """
-    size = len(system.state_names)
-    checks.array("state", state, f"[{size}]", (size,), of="floats")
-    checks.key("key", key)
     return rollout_with_memory(system, policy, memory, state, key)[0]
 
 
@@ -79,14 +73,7 @@ def rollout_with_memory(
 
 @partial(jax.jit, static_argnums=(0, 2))
 def random_trajectories(system: System, key: Array, count: int) -> Trajectories:
-    """N = count trajectories of uniform random actions from random initial states.
-
-    Raises:
-      ValueError: if `system` is no System, `key` no key or `count` no positive integer.
-    """
-    checks.instance("system", system, System)
-    checks.integer("count", count)
-    checks.key("key", key)
+    """N = count trajectories of uniform random actions from random initial states."""
 
     def policy(memory: None, state: Array, previous_action: Array, key: Array):
         return memory, sample_action(system, key)
