@@ -8,6 +8,7 @@ DIR/owner.json                 who works there now; DIR/owner-1-of-4.json for a 
 
 import contextlib
 import json
+import math
 import os
 import platform
 from collections.abc import Sequence
@@ -22,6 +23,8 @@ from jaxdeconf.pipeline.results import Row
 from jaxdeconf.pipeline.store import StoreError, read_stamped, reading, stamped, writing
 from jaxdeconf.sweep.grid import Axis, Point, points
 
+_MOST_POINTS = 100_000  # beyond, it is a slip: even to plan them would take minutes
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -33,6 +36,8 @@ class Sweep:
 
     def __post_init__(self):
         checks.integer("seeds", self.seeds, most=2**32 - self.base.seed)
+        count = self.seeds * math.prod(len(axis.values) for axis in self.axes)
+        checks.integer("points of the grid", count, most=_MOST_POINTS)
 
     @property
     def points(self) -> list[Point]:

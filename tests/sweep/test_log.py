@@ -102,3 +102,5 @@ def test_a_sweep_of_the_version_before_is_refused(tmp_path):
 def test_a_bad_sweep_names_the_field():
     with pytest.raises(ValueError, match="seeds: expected "):
         Sweep(Config(), seeds=0)
+    with pytest.raises(ValueError, match=r"points of the grid: expected .* <= 100000, got 1000000"):
+        Sweep(Config(), seeds=1_000_000)
