@@ -204,7 +204,7 @@ def test_a_horizon_is_no_config():
         ([[0, 0, np.nan, 0]], r"expected finite numbers, got nan at \[0, 2\]"),
         ([[0, 0, 0, 0], [0, np.inf, 0, 0]], r"expected finite numbers, got inf at \[1, 1\]"),
         ([["a", "b", "c", "d"]], r"expected numbers of shape \[N, 4\], got <U1"),
-        ([[1, 2, 3, 4], [1, 2]], r"expected numbers of shape \[N, 4\], got"),
+        ([[1, 2, 3, 4], [1, 2]], r"expected an array, got rows of different lengths"),
         (None, r"expected numbers of shape \[N, 4\], got"),
     ],
 )

@@ -23,6 +23,7 @@ SMALLER = (
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:actions. column 1 has its most frequent value")  # 8 episodes
 def test_a_run_ends_with_its_report(tmp_path):
     config = read("", PRESETS["reacher"], SMALLER).config
     found = run(config, directory=tmp_path, reporter=Reporter(Console(quiet=True)))
