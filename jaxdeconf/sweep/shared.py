@@ -106,7 +106,7 @@ def data_of(work: Work, config: Config) -> Data:
         else:
             store = Store(folder, own, not free(folder), home=work.log.directory)
         system = fitting(own, work.system)
-        run = Run(own, system, store, work.reporter, work.interruption)
+        run = Run(own, store, work.reporter, work.interruption)
         collected = run.stage("collect", lambda: collect_for(own, system, run.key))
         work.data[name] = Data(run, judge.trial(system, run.key, collected))
     return work.data[name]
@@ -181,7 +181,7 @@ def evidence_of(work: Work, config: Config, mask: np.ndarray) -> Evidence:
     encoder, of = found.encoder, (encoder_name(config), mask.tobytes())
     if of not in work.regions:
         work.regions[of] = find_region(encoder, jnp.asarray(mask), trial.held_out.images, run.key)
-    return evidence_for(config, run.system, encoder, jnp.asarray(mask), work.regions[of])
+    return evidence_for(config, trial.system, encoder, jnp.asarray(mask), work.regions[of])
 
 
 class PointMask(NamedTuple):
