@@ -10,7 +10,7 @@ NAMES = {
     *("hoeffding_d", "refined_d", "p_value", "threshold", "permutation_p_value"),
     *("Mask", "find_mask", "find_region", "Method", "METHODS", "Evidence"),
     *("deconfound", "learn_latents", "mask_latents", "clone_policy"),
-    *("drive", "rollout_loss", "copycat"),
+    *("drive", "rollout_loss", "copycat", "load_view"),
 }
 
 
