@@ -34,7 +34,7 @@ def measure(config: Config, directory: Path) -> dict[str, Any]:
     """The numbers of one seed; resumes what is in its directory."""
     system = fitting(config, systems.get(config.system))
     store = Store(directory, config, (directory / "config.json").is_file())
-    run = Run(config, system, store, Reporter())
+    run = Run(config, store, Reporter())
     collected = run.stage("collect", lambda: collect_for(config, system, run.key))
     trial = judge.trial(system, run.key, collected)
     encoder, found = deconfounded(run, trial)

@@ -24,6 +24,7 @@ from jaxdeconf.independence import (
 )
 from jaxdeconf.mask import Mask, find_mask
 from jaxdeconf.methods import METHODS, Evidence, Method
+from jaxdeconf.owndata.view import load_view
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.run import run
 from jaxdeconf.region import find_region

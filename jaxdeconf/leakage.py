@@ -89,6 +89,13 @@ def r_squared(
     Raises:
       ValueError: if frames and signals differ in number, frames in size, or there are too few.
     """
+    return r_squared_each(train, train_signal, test, test_signal, key).mean()
+
+
+def r_squared_each(
+    train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array
+) -> Array:
+    """[A] R² of each signal, as `r_squared` has the mean of."""
     checks.key("key", key)
     shape = jnp.shape(train)[1:]
     for name, images, signal in (("train", train, train_signal), ("test", test, test_signal)):
@@ -98,7 +105,7 @@ def r_squared(
         checks.array(f"{name}_signal", signal, form, (count, None), finite=True)
     flat = [jnp.asarray(x, jnp.float32).reshape(len(x), -1) for x in (train, test)]
     components = min(_COMPONENTS, len(train) - 1, flat[0].shape[1])
-    return _shares(flat[0], train_signal, flat[1], test_signal, key, components).mean()
+    return _shares(flat[0], train_signal, flat[1], test_signal, key, components)
 
 
 @partial(jax.jit, static_argnames="components")

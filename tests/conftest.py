@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 import pytest
 
+# As the command does: beside another process, the threads of linear algebra wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # The smoke preset, smaller yet: that stages fit together, in less time. Small chunks, so that there
 # are edges to stop at.
 SMOKE = (

@@ -23,14 +23,15 @@ FLOORS = {
     "leakage": 5,
     **dict.fromkeys(["views", "evaluate"], 5),
     **dict.fromkeys(["methods", "region"], 6),
-    "deconfound": 7,
+    **dict.fromkeys(["deconfound", "formats"], 7),
     "pipeline": 8,
     "presets": 9,
     "sweep": 9,
+    "owndata": 9,
     "report": 10,
     "commands": 11,
 }
-HARNESS = {"pipeline", "sweep", "report", "commands"}
+HARNESS = {"formats", "pipeline", "sweep", "owndata", "report", "commands"}
 # Only the harness knows files and screens.
 EDGES_OF_THE_WORLD = {"matplotlib", "rich", "PIL", "tyro"}
 ADAPTER = "jaxdeconf.systems.brax_env"  # the one module that may import brax; nobody imports it
@@ -125,6 +126,8 @@ def test_every_edge_runs_downward():
         ("jaxdeconf.report.run", "jaxdeconf.commands.run"),
         ("jaxdeconf.report.run", "tyro"),
         ("jaxdeconf.evaluate", "jaxdeconf.methods"),
+        ("jaxdeconf.formats.npz", "jaxdeconf.owndata.dataset"),
+        ("jaxdeconf.owndata.run", "jaxdeconf.sweep.sweep"),
     ],
 )
 def test_a_wrong_edge_would_be_seen(importer, imported):

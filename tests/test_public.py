@@ -11,7 +11,7 @@ NAMES = {
     "dependence",
     *("Mask", "find_mask", "find_region", "Method", "METHODS", "Evidence"),
     *("deconfound", "learn_latents", "mask_latents", "clone_policy"),
-    *("drive", "rollout_loss", "copycat"),
+    *("drive", "rollout_loss", "copycat", "load_view"),
 }
 
 

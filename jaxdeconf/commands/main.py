@@ -1,4 +1,4 @@
-"""`jaxdeconf COMMAND ...`: an experiment of one of our systems, a sweep, or a report again."""
+"""`jaxdeconf COMMAND ...`: an experiment, a sweep, your own data, or a report again."""
 
 import sys
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 _COMMANDS = {
     "cartpole": "a cart with a pole; a square shows the last force",
     "reacher": "a two-link arm; a dot shows the last torques",
+    "mask": "your own demonstrations, with the nuisance taken out of every frame",
     "sweep": "a grid of fields and seeds; what points share is done once",
     "report": "draw a finished run's report again",
 }
@@ -36,6 +37,10 @@ def _command(name: str, words: list[str]) -> int:
         from jaxdeconf.commands import report
 
         return report.main(words)
+    if name == "mask":
+        from jaxdeconf.commands import mask
+
+        return mask.main(words)
     if name == "sweep":
         from jaxdeconf.commands import sweep
 

@@ -56,7 +56,7 @@ def first(arguments: Sequence[str]) -> First:
       ValueError: one line that says what is wrong.
     """
     words = [word for word in arguments if word not in ("-h", "--help")]
-    return _quietly(
+    return quietly(
         lambda: tyro.cli(First, args=words, default=First(), return_unknown_args=True)[0]
     )
 
@@ -75,7 +75,7 @@ def parse(
     Raises:
       ValueError: one line that says what is wrong.
     """
-    return _quietly(
+    return quietly(
         lambda: tyro.cli(kind, prog=program, description=description, args=words, default=default)
     )
 
@@ -93,7 +93,7 @@ def parse_value(field: str, value: str) -> Any:
     for name in field.split("."):
         kind = get_type_hints(kind, include_extras=True)[name]
     try:
-        return _quietly(lambda: tyro.cli(kind, args=value.split()))
+        return quietly(lambda: tyro.cli(kind, args=value.split()))
     except ValueError as error:
         said = re.sub(r"^[^:]*: ", "", str(error))
         raise ValueError(f"--{field.replace('_', '-')}: {said}") from None
@@ -110,7 +110,8 @@ def choose(presets: Mapping[str, Config], preset: str) -> Config:
     return presets[preset]
 
 
-def _quietly(read: Callable[[], Any]) -> Any:
+def quietly(read: Callable[[], Any]) -> Any:
+    """What tyro reads, or a ValueError of one line."""
     messages = io.StringIO()
     try:
         with contextlib.redirect_stderr(messages):

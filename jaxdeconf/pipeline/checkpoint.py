@@ -44,7 +44,7 @@ def write(folder: Path, state: Any, notes: dict[str, Any]) -> None:
     shutil.rmtree(partial, ignore_errors=True)  # a killed run's
     try:
         partial.mkdir(parents=True)
-        named: dict[str, Any] = _named(state)
+        named: dict[str, Any] = named_arrays(state)
         np.savez(partial / _ARRAYS, **named)
         (partial / "notes.json").write_text(json.dumps(notes, indent=1) + "\n")
         (partial / _SUMS).write_text(_sums(partial))
@@ -74,12 +74,17 @@ def read_notes(folder: Path) -> dict[str, Any]:
 
 
 def read_state(folder: Path, like: Any) -> Any:
-    """The arrays of a checkpoint, in a tree like another.
+    """The arrays of a checkpoint; see `read_arrays`."""
+    return read_arrays(folder / _ARRAYS, like)
+
+
+def read_arrays(file: Path, like: Any) -> Any:
+    """What `named_arrays` gave, of an npz file, in a tree like another.
 
     Raises:
       KeyError: if it has no array for one of its leaves.
     """
-    with np.load(folder / _ARRAYS) as arrays:
+    with file.open("rb") as opened, np.load(opened) as arrays:
         return jax.tree_util.tree_map_with_path(
             lambda path, _: jnp.array(arrays[jax.tree_util.keystr(path)]), like
         )
@@ -88,13 +93,14 @@ def read_state(folder: Path, like: Any) -> Any:
 def fingerprint(state: Any) -> str:
     """SHA-256 of a pytree's names, types, shapes and values: equal for equal numbers."""
     digest = hashlib.sha256()
-    for name, array in _named(state).items():
+    for name, array in named_arrays(state).items():
         digest.update(f"{name} {array.dtype} {array.shape}\n".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
 
 
-def _named(state: Any) -> dict[str, np.ndarray]:
+def named_arrays(state: Any) -> dict[str, np.ndarray]:
+    """The leaves of a pytree, by their paths in it, as NumPy writes them."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
 

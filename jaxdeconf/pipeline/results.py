@@ -5,13 +5,15 @@ Shapes: O latents, S state, H reaction horizon, A action, T time, V traversal va
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE, from_plain, write_json
 
 FILE, PICTURES = "results.json", "pictures.npz"
+
+Found = TypeVar("Found", bound=NamedTuple)
 
 
 class Losses(NamedTuple):
@@ -127,7 +129,7 @@ class Pictures(NamedTuple):
 SAME, APART = 0.9, 0.1
 
 
-def save(directory: Path, results: Results, pictures: Pictures) -> None:
+def save(directory: Path, results: NamedTuple, pictures: Pictures) -> None:
     """Writes results.json and pictures.npz, each in one step; the results last: they end a run."""
     partial = directory / (PICTURES + PARTIAL)
     with partial.open("wb") as file:
@@ -136,21 +138,21 @@ def save(directory: Path, results: Results, pictures: Pictures) -> None:
     write_json(directory / FILE, results)
 
 
-def finished(directory: Path) -> Results | None:
+def finished(directory: Path, kind: type[Found] = Results) -> Found | None:
     """The results of a run that was done before, if it was, and they can be read."""
     try:
-        return load(directory)[0]
+        return load(directory, kind)[0]
     except UNREADABLE:
         return None
 
 
-def load(directory: Path) -> tuple[Results, Pictures]:
-    """What `save` wrote.
+def load(directory: Path, kind: type[Found] = Results) -> tuple[Found, Pictures]:
+    """What `save` wrote, of that kind.
 
     Raises:
       UNREADABLE, see `plain`: if it is not there, or not what it was.
     """
-    results = from_plain(Results, json.loads((directory / FILE).read_text(encoding="utf-8")))
+    results = from_plain(kind, json.loads((directory / FILE).read_text(encoding="utf-8")))
     with np.load(directory / PICTURES) as arrays:
         found: dict[str, Any] = {name: {} for name in ("strips", "rollouts", "alive")}
         for name in arrays.files:

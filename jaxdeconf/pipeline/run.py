@@ -61,7 +61,7 @@ def run(
     store = Store(directory, config, resume)
     if resume and (found := finished(directory)):
         return found
-    this = Run(config, system, store, reporter or Reporter(), interruption or Interruption())
+    this = Run(config, store, reporter or Reporter(), interruption or Interruption())
     collected = this.stage("collect", lambda: collect_for(config, system, this.key))
     trial = judge.trial(system, this.key, collected)
     encoder, mask = deconfounded(this, trial)
@@ -96,7 +96,7 @@ def run(
 
 def deconfounded(this: Run, trial: Trial) -> tuple[Encoder, Mask]:
     """The β-VAE, and what Algorithm 1 masks of it."""
-    config, system, collected = this.config, this.system, trial.collected
+    config, system, collected = this.config, trial.system, trial.collected
     images = collect.exploration(system, collected.random).images
     watch = partial(this.watch, data=collected)
     encoder = learn_latents(images, trial.held_out.images, this.key, config.disentangle, watch)
@@ -150,7 +150,7 @@ def _results(
     region: Array | None,
     judged: dict[str, Judged],
 ) -> Results:
-    config, system = this.config, this.system
+    config, system = this.config, trial.system
     latents = judge.judge_latents(trial, encoder)
     return Results(
         system=system.name,

@@ -16,11 +16,9 @@ from jax import Array
 
 from jaxdeconf.learn.fit import FitState, Training
 from jaxdeconf.pipeline.checkpoint import fingerprint
-from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.store import Store
-from jaxdeconf.systems import System
 
 # Of work that a kill may cost; a save takes a few tenths of one.
 SAVE_SECONDS = 30.0
@@ -30,8 +28,7 @@ SAVE_SECONDS = 30.0
 class Run:
     """A run in progress: the question, the disk and the screen, and what has come of it."""
 
-    config: Config
-    system: System
+    config: Any  # what the store holds it by, with a seed
     store: Store
     reporter: Reporter
     interruption: Interruption = field(default_factory=Interruption)

@@ -16,7 +16,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 
@@ -24,6 +24,8 @@ from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE, from_plain, to_plain, write_json
 from jaxdeconf.version import __version__
+
+Asked = TypeVar("Asked")
 
 CONFIG = "config.json"
 OWNER = "owner.json"
@@ -41,12 +43,12 @@ class WriteError(RuntimeError):
 class Store:
     """Saves and loads the stages of one run."""
 
-    def __init__(self, directory: Path, config: Config, resume: bool, home: Path | None = None):
+    def __init__(self, directory: Path, config: Any, resume: bool, home: Path | None = None):
         """Opens a run directory.
 
         Args:
           directory: made if it is not there.
-          config: what the run is to do.
+          config: what the run is to do, a dataclass as of `Config`.
           resume: whether it goes on with what is there; the config must then be the same.
           home: what --resume goes on with, if not the directory: the sweep that it is a part of.
         Raises:
@@ -154,7 +156,7 @@ def _write_error(directory: Path, place: Path, error: Exception) -> WriteError:
     )
 
 
-def begin(directory: Path, config: Config, seeds: int = 1) -> None:
+def begin(directory: Path, config: Any, seeds: int = 1) -> None:
     """Makes the directory of a new run, or of several that differ in their seeds.
 
     Raises:
@@ -170,13 +172,13 @@ def begin(directory: Path, config: Config, seeds: int = 1) -> None:
         ) from error
 
 
-def require_same(directory: Path, config: Config) -> None:
+def require_same(directory: Path, config: Any) -> None:
     """Refuses to go on with a run otherwise than it was begun.
 
     Raises:
       StoreError: if the directory holds a run of another config, or none.
     """
-    changed = differences(to_plain(read_config(directory)), to_plain(config))
+    changed = differences(to_plain(begun(directory, type(config))[0]), to_plain(config))
     if changed:
         shown = [f"--{name.replace('_', '-')} was {old}, is {new}" for name, old, new in changed]
         raise StoreError(
@@ -232,8 +234,8 @@ def read_config(directory: Path) -> Config:
     return begun(directory)[0]
 
 
-def begun(directory: Path) -> tuple[Config, int]:
-    """What `begin` wrote.
+def begun(directory: Path, kind: type[Asked] = Config) -> tuple[Asked, int]:
+    """What `begin` wrote: a config of that kind, and of how many seeds.
 
     Raises:
       StoreError: if there is none, or it is not one of this version's.
@@ -242,7 +244,7 @@ def begun(directory: Path) -> tuple[Config, int]:
     plain = read_stamped(file, "run")
     with reading(file, "run"):
         seeds = plain.pop("seeds", 1)
-        return from_plain(Config, plain), seeds
+        return from_plain(kind, plain), seeds
 
 
 def stamped(plain: dict[str, Any]) -> dict[str, Any]:

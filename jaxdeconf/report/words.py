@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxdeconf.methods import METHODS
+from jaxdeconf.owndata.results import Found
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.results import APART, SAME, Judged, JudgedExpert, Losses, Results, Row
 from jaxdeconf.pipeline.store import differences
@@ -152,7 +153,7 @@ def _over(above: float, below: float) -> float:
     return above / below if below and math.isfinite(below) else math.nan
 
 
-def status(results: Results, latent: int) -> str:
+def status(results: Results | Found, latent: int) -> str:
     """What became of a latent: `inactive` (at its prior mean in every view), `masked` or `kept`."""
     if not results.active[latent]:
         return "inactive"

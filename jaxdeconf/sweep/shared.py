@@ -105,7 +105,7 @@ def data_of(work: Work, config: Config) -> Data:
         else:
             store = Store(folder, own, not free(folder), home=work.log.directory)
         system = fitting(own, work.system)
-        run = Run(own, system, store, work.reporter, work.interruption)
+        run = Run(own, store, work.reporter, work.interruption)
         collected = run.stage("collect", lambda: collect_for(own, system, run.key))
         work.data[name] = Data(run, judge.trial(system, run.key, collected))
     return work.data[name]
@@ -175,13 +175,13 @@ def _judge(work: Work, config: Config, encoder: Encoder) -> None:
 
 def evidence_of(work: Work, config: Config, method: str, mask: np.ndarray) -> Evidence:
     """What a method may be made from, given a point's mask [O]."""
-    (run, trial), found = data_of(work, config), work.encoders[encoder_name(config)]
+    trial, found = data_of(work, config).trial, work.encoders[encoder_name(config)]
     assert found is not None  # it has a mask
     encoder, latents = found.encoder, jnp.asarray(mask)
     of = encoder_name(config), mask.tobytes(), "region" in METHODS[method].needs
     if of not in work.regions:
         work.regions[of] = region_for(trial, encoder, latents, [method])
-    return evidence_for(config, run.system, encoder, latents, work.regions[of])
+    return evidence_for(config, trial.system, encoder, latents, work.regions[of])
 
 
 class PointMask(NamedTuple):

@@ -153,7 +153,7 @@ def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, 
     lengths = np.asarray(trial.collected.expert.valid).sum(axis=1)
     training = cloning(
         method,
-        lambda: demonstrations_for(config, run.system, trial.collected),
+        lambda: demonstrations_for(config, trial.system, trial.collected),
         imitated(lengths, config.clone),
         evidence_of(work, config, name, found),
         run.key,

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from jaxdeconf import collect, systems
+from jaxdeconf import collect
 from jaxdeconf.commands import guard
 from jaxdeconf.commands.main import main
 from jaxdeconf.learn.fit import FitConfig, Training, start
@@ -322,7 +322,7 @@ def training(tmp_path):
     """A run that trains with a given loss; saves at every chunk's edge."""
     held = Store(tmp_path / "run", CONFIG, resume=False)
     reporter = Reporter(Console(quiet=True))
-    run = stages.Run(CONFIG, systems.get("cartpole"), held, reporter)
+    run = stages.Run(CONFIG, held, reporter)
 
     def train(objective):
         config = FitConfig(steps=32, batch_size=8, chunk=8)

@@ -1,0 +1,77 @@
+"""HDF5 files, of which robomimic's and Minari's are: opened late, and copied but for a camera.
+
+Shapes: T steps of one episode, H × W pixels.
+"""
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxdeconf.formats import pixels
+from jaxdeconf.formats.source import Redraw, is_camera, reading
+
+
+def fits(path: Path) -> bool:
+    """Whether a file is one, whole or not."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(8) == b"\x89HDF\r\n\x1a\n" or path.suffix in (".hdf5", ".h5")
+
+
+def library(path: Path, extra: str) -> Any:
+    """The module h5py.
+
+    Raises:
+      ValueError: if it is not installed; says how to.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise ValueError(
+            f"{path}: expected h5py to read it, got none; pip install 'jaxdeconf[{extra}]'"
+        ) from None
+    return h5py
+
+
+def look(path: Path, extra: str, see: Callable[[Any], Any]) -> Any:
+    """What a function sees in an opened file.
+
+    Raises:
+      ValueError: if the file cannot be read; names its size, or what it is instead.
+    """
+    h5py = library(path, extra)
+    with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
+        return see(file)
+
+
+def numbered(group: Any, start: str) -> list[str]:
+    """The keys demo_0, demo_1, ..., demo_10 of a group, by their number."""
+    names = [name for name in group if name.startswith(start) and name[len(start) :].isdecimal()]
+    return sorted(names, key=lambda name: int(name[len(start) :]))
+
+
+def cameras(group: Any) -> list[str]:
+    """The keys, of a group, whose arrays may be a camera's frames."""
+    arrays = {key: value for key, value in group.items() if hasattr(value, "shape")}
+    return [key for key, value in arrays.items() if is_camera(value.shape, value.dtype)]
+
+
+def episodes(path: Path, extra: str, keys: Sequence[str]) -> Iterator[np.ndarray]:
+    """uint8 [T, H, W, 3] of the arrays with these names, one at a time."""
+    h5py = library(path, extra)
+    with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
+        for key in keys:
+            yield pixels.rgb(f"{path}: {key}", file[key][:])
+
+
+def write(path: Path, extra: str, to: Path, keys: Sequence[str], redraw: Redraw) -> None:
+    """Copies a file byte for byte, and in the copy redraws the arrays with these names in place."""
+    h5py = library(path, extra)
+    shutil.copyfile(path, to)
+    with h5py.File(to, "r+") as file:
+        for key in keys:
+            file[key][...] = pixels.redrawn(key, file[key][:], redraw)

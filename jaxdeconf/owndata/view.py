@@ -1,0 +1,110 @@
+"""The view that a masking leaves: from a camera's frames to the same without the nuisance.
+
+    DIR/view/view.json     the β-VAE's shape, the size that it learnt
+    DIR/view/arrays.npz    its weights, the latents that are kept, the pixels that are redrawn
+
+NumPy in and out, nothing pickled. Shapes: B batch, H × W pixels of the camera's, Z × Z of ours.
+"""
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxdeconf import checks
+from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.nets import vae
+from jaxdeconf.owndata.dataset import fitted, unfitted
+from jaxdeconf.pipeline.checkpoint import named_arrays, read_arrays
+from jaxdeconf.pipeline.plain import UNREADABLE, from_plain, write_json
+from jaxdeconf.views import inpainted
+
+_BATCH = 64  # frames at a time
+
+
+class View:
+    """Frames without what the masked latents show; to be put before a policy at run time.
+
+    A view is what the dataset was written with: `view(frames)` of a frame of the old dataset is the
+    frame of the new one.
+    """
+
+    def __init__(self, network: vae.VAEConfig, parameters: Any):
+        """Of parameters as of `views.inpainted`; use `load_view`."""
+        self.network, self.parameters = network, parameters
+        self.region = np.asarray(parameters["region"])
+
+    def __call__(self, frames: np.ndarray) -> np.ndarray:
+        """Redraws frames.
+
+        Args:
+          frames: uint8 [H, W, 3], or several, [B, H, W, 3].
+        Returns:
+          The same, new; all pixels but the region's as they were.
+        Raises:
+          ValueError: if they are of another type or shape.
+        """
+        given = np.asarray(frames)
+        shape = (None,) * (given.ndim == 4) + (None, None, 3)
+        checks.array("frames", given, "[H, W, 3] or [B, H, W, 3]", shape, "uint8")
+        if given.ndim == 3:
+            return self(given[None])[0]
+        parts = [self._redrawn(given[i : i + _BATCH]) for i in range(0, len(given), _BATCH)]
+        return np.concatenate(parts)
+
+    def _redrawn(self, frames: np.ndarray) -> np.ndarray:
+        size, shape = len(self.region), frames.shape[1:3]
+        if not self.region.any():
+            return frames.copy()
+        # Batches of a power of two: a program for each of seven sizes, not for each there is.
+        padded = np.zeros((1 << (len(frames) - 1).bit_length(), size, size, 3), np.uint8)
+        padded[: len(frames)] = fitted(frames, size)
+        drawn = np.asarray(_draw(inpainted(self.network), self.parameters, padded))
+        drawn = unfitted(drawn[: len(frames)], shape)
+        region = unfitted(self.region[None].astype(np.uint8), shape, smooth=False)[0] > 0
+        return np.where(region[..., None], drawn, frames)
+
+
+@partial(jax.jit, static_argnames="view")
+def _draw(view: Any, parameters: Any, images: Array) -> Array:
+    return view(parameters, images)
+
+
+def make_view(encoder: Encoder, mask: Any, region: Any) -> View:
+    """The view of what was found."""
+    keep = encoder.active & ~jnp.asarray(mask)
+    found = {"variables": encoder.variables, "keep": keep, "region": jnp.asarray(region)}
+    return View(encoder.network, found)
+
+
+def save_view(folder: Path, view: View) -> None:
+    """Writes a view; `view.json` last, which makes it one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, Any] = named_arrays(view.parameters)
+    np.savez(folder / "arrays.npz", **arrays)
+    write_json(folder / "view.json", {"network": view.network, "size": len(view.region)})
+
+
+def load_view(directory: Path | str) -> View:
+    """The view that `jaxdeconf mask --out DIR` left.
+
+    Args:
+      directory: DIR, or the folder `view` in it.
+    Raises:
+      ValueError: if there is none, or it is damaged.
+    """
+    folder = Path(directory)
+    folder = folder / "view" if (folder / "view").is_dir() else folder
+    try:
+        about = json.loads((folder / "view.json").read_text(encoding="utf-8"))
+        network, size = from_plain(vae.VAEConfig, about["network"]), about["size"]
+        fresh = jax.eval_shape(lambda key: vae.init(network, key, (size, size)), jax.random.key(0))
+        like = {"variables": fresh, "keep": 0, "region": 0}
+        return View(network, read_arrays(folder / "arrays.npz", like))
+    except UNREADABLE as error:
+        raise ValueError(f"{folder}: expected a view of jaxdeconf mask, got {error}") from error
