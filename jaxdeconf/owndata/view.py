@@ -66,8 +66,11 @@ class View:
         padded[: len(frames)] = fitted(frames, size)
         drawn = np.asarray(_draw(inpainted(self.network), self.parameters, padded))
         drawn = unfitted(drawn[: len(frames)], shape)
-        region = unfitted(self.region[None].astype(np.uint8), shape, smooth=False)[0] > 0
-        return np.where(region[..., None], drawn, frames)
+        return np.where(self.region_at(shape)[..., None], drawn, frames)
+
+    def region_at(self, shape: tuple[int, int]) -> np.ndarray:
+        """[H, W] bool: the pixels, of frames of that shape, that are redrawn."""
+        return unfitted(self.region[None].astype(np.uint8), shape, smooth=False)[0] > 0
 
 
 @partial(jax.jit, static_argnames="view")

@@ -181,6 +181,30 @@ def test_the_view_takes_frames_of_another_size(masked):
     assert np.array_equal(dataset.fitted(seen[None], 32)[0][~view.region], frame[~view.region])
 
 
+def test_the_wrapper_of_the_docs_runs(masked):
+    """The page's own lines, around an environment that shows frames of the dataset."""
+    gymnasium = pytest.importorskip("gymnasium")
+    frames = arrays_of(masked / "demos.npz")["frames"]
+    page = Path(__file__).parents[2].joinpath("docs/own-data.md").read_text(encoding="utf-8")
+    (block,) = [part for part in page.split("```") if part.startswith("python\nimport gymnasium")]
+    told = {}
+    exec(block.removeprefix("python"), told)
+
+    class Camera(gymnasium.Env):
+        observation_space = gymnasium.spaces.Box(0, 255, frames.shape[1:], np.uint8)
+        action_space = gymnasium.spaces.Discrete(2)
+
+        def reset(self, **_):
+            return frames[0], {}
+
+        def step(self, _):
+            return frames[1], 0.0, False, False, {}
+
+    env, view = told["Masked"](Camera(), masked / "out"), jd.load_view(masked / "out")
+    assert np.array_equal(env.reset()[0], view(frames[0]))
+    assert np.array_equal(env.step(0)[0], view(frames[1]))
+
+
 def test_a_damaged_view_is_named(masked, tmp_path):
     with pytest.raises(ValueError, match=r"expected a view of jaxdeconf mask, got"):
         jd.load_view(tmp_path)
@@ -221,6 +245,32 @@ def test_the_output_is_not_overwritten_and_not_resumed_otherwise(masked, capsys)
     assert "holds a run; use --resume" in capsys.readouterr().err
     assert command.main(["--resume", out, "--seed", "3"]) == 2
     assert "--seed was 0, is 3" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "DEMOS: expected the demonstrations, a file or a folder, got none"),
+        (["nowhere.npz"], "nowhere.npz: expected a dataset, got no file or folder"),
+        (["demos.npz", "--states", "middle"], "states: expected one of left, right, got 'middle'"),
+        (["demos.npz", "--horizon", "4"], "horizon: expected at most 3, the steps of episode 1"),
+        (["demos.npz", "--size", "33"], "size: expected multiples of 32"),
+        (["demos.npz", "--exploration", "wide.npz"], "wide.npz: expected frames of 32 × 32, got"),
+        (["few.npz"], "episodes: expected an integer >= 5, got 4"),
+        ([".", "--out", "within"], "--out: expected a place outside of ."),
+    ],
+)
+def test_what_cannot_be_done_exits_with_2_and_one_line(masked, monkeypatch, capsys, words, said):
+    """And nothing is left where it would have gone."""
+    monkeypatch.chdir(masked)
+    few = scene(4, 4, True, 5)
+    np.savez(masked / "few.npz", **few)
+    np.savez(masked / "wide.npz", **few | {"frames": few["frames"].repeat(2, axis=2)})
+    assert command.main([*words, "--check"]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (masked / "within").exists()
 
 
 def test_check_says_what_moves_the_actions_and_writes_nothing(masked, capsys):
