@@ -1,6 +1,6 @@
 """Lines of code, without blanks, docstrings and comments: `python -m benchmarks.lines`.
 
-The method is every room but the harness: pipeline, sweep, report and commands.
+The method is every room but the harness, which are those that know files or screens.
 """
 
 import ast
@@ -10,7 +10,7 @@ from collections import Counter
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "jaxdeconf"
-HARNESS = ("pipeline", "sweep", "report", "commands")
+HARNESS = ("formats", "pipeline", "sweep", "owndata", "report", "commands")
 _SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
