@@ -42,8 +42,11 @@ def standin(tmp_path):
     """The command with a package `jaxdeconf` of one module, `commands.main`, of that text."""
 
     def make(body):
-        (tmp_path / "jaxdeconf" / "commands").mkdir(parents=True)
-        (tmp_path / "jaxdeconf" / "commands" / "main.py").write_text(body)
+        commands = tmp_path / "jaxdeconf" / "commands"
+        commands.mkdir(parents=True)
+        for folder in (commands.parent, commands):  # else the one that is installed comes before it
+            (folder / "__init__.py").touch()
+        (commands / "main.py").write_text(body)
         (tmp_path / "jaxdeconf_command.py").symlink_to(ROOT / "jaxdeconf_command.py")
         return {"args": [sys.executable, "-c", START], "cwd": tmp_path}
 

@@ -99,7 +99,7 @@ def leakage(seen: Past, written: View, whole: View, key: Array) -> Leakage:
     """What a regression finds of the previous action, before and after."""
 
     def of(images: np.ndarray) -> float:
-        return float(_regressed(images, seen.actions, named(key, "leakage")).mean())
+        return float(_regressed(images, seen.actions, named(key, "written")).mean())
 
     return Leakage(of(seen.images), of(whole(seen.images)), of(written(seen.images)))
 

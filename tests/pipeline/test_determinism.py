@@ -42,6 +42,8 @@ ALONE = {
     "VAE training",
     "nuisance share",
     "region",
+    # Of a dataset of one's own.
+    *("linear start", "check", "told", "stability", "retention", "written"),
 }
 
 
