@@ -1,9 +1,8 @@
 """The methods, a row each: what a policy is cloned on, what that takes, and by which loss.
 
 They are one `clone` on different views of the same frames (Section V-B). Inpainted is ours, the
-others are the paper's. Everything that
-goes by method follows from this table: order and colours, what is cloned and driven, what depends
-on what. To add one, add a row; nothing else names a method.
+others are the paper's. Everything that goes by method follows from this table: order and colours,
+what is cloned and driven, what depends on what. To add one, add a row; nothing else names a method.
 """
 
 from collections.abc import Callable, Collection

@@ -97,6 +97,15 @@ def small():
     return SMOKE
 
 
+@pytest.fixture(scope="session")
+def grains():
+    """Images of grains: the cover and the β-VAE take whatever there is."""
+    import jax.numpy as jnp  # late: this file is read by processes that run no test
+    import numpy as np
+
+    return jnp.asarray(np.random.default_rng(0).integers(0, 255, (5, 64, 64, 3), np.uint8))
+
+
 @pytest.fixture
 def numbers():
     """What a run's results.json holds, but for times and memory."""

@@ -1,6 +1,5 @@
 """Methods: what each one shows its policy, and what it needs for that."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from jaxdeconf import methods, systems, views
 from jaxdeconf.demos import Demos
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.methods import METHODS, Evidence
-from jaxdeconf.nets import vae
 from jaxdeconf.nets.vae import VAEConfig
 
 SYSTEM = systems.get("cartpole")
@@ -19,21 +17,9 @@ DEMOS = Demos(np.zeros((5, 2, 16, 24, 3), np.uint8), np.zeros((5, 2, 1)), np.zer
 
 
 @pytest.fixture(scope="module")
-def images():
-    """Of grains: the cover and the β-VAE take whatever there is."""
-    grains = np.random.default_rng(0).integers(0, 255, (5, 64, 64, 3), np.uint8)
-    return jnp.asarray(grains)
-
-
-@pytest.fixture(scope="module")
-def variables():
-    return vae.init(CONFIG, jax.random.key(1), (64, 64))
-
-
-@pytest.fixture(scope="module")
-def evidence(variables):
+def evidence():
     return Evidence(
-        Encoder(CONFIG, variables, jnp.ones(3), ACTIVE),
+        Encoder(CONFIG, {"params": jnp.zeros(2)}, jnp.ones(3), ACTIVE),
         MASK,
         jnp.zeros((64, 64), bool),
         SYSTEM.nuisance.cover,
@@ -51,12 +37,12 @@ def test_reconstructions_keep_the_active_latents_but_the_masked(name, keep, evid
     assert parameters["variables"] is evidence.encoder.variables
 
 
-def test_the_papers_other_methods_show_the_frames_and_the_covered_frames(evidence, images):
+def test_the_papers_other_methods_show_the_frames_and_the_covered_frames(evidence, grains):
     view, parameters = METHODS["BcVanilla"].view(Evidence())
-    np.testing.assert_array_equal(view(parameters, images), images)
+    np.testing.assert_array_equal(view(parameters, grains), grains)
     view, parameters = METHODS["BcManual"].view(evidence)
-    expected = views.covered(SYSTEM.nuisance.cover)({}, images)
-    np.testing.assert_array_equal(view(parameters, images), expected)
+    expected = views.covered(SYSTEM.nuisance.cover)({}, grains)
+    np.testing.assert_array_equal(view(parameters, grains), expected)
 
 
 @pytest.mark.parametrize("name", METHODS)

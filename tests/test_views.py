@@ -16,58 +16,51 @@ CONFIG = VAEConfig(channels=(2,), latents=3, norm="none")
 
 
 @pytest.fixture(scope="module")
-def images():
-    """Of grains: the cover and the β-VAE take whatever there is."""
-    grains = np.random.default_rng(0).integers(0, 255, (5, 64, 64, 3), np.uint8)
-    return jnp.asarray(grains)
-
-
-@pytest.fixture(scope="module")
 def variables():
     return vae.init(CONFIG, jax.random.key(1), (64, 64))
 
 
-def test_identity(images):
-    np.testing.assert_array_equal(views.identity({}, images), images)
+def test_identity(grains):
+    np.testing.assert_array_equal(views.identity({}, grains), grains)
 
 
-def test_the_cover_hides_the_nuisance_and_nothing_else(images):
-    seen = np.asarray(jax.jit(views.covered(SYSTEM.nuisance.cover))({}, images))
+def test_the_cover_hides_the_nuisance_and_nothing_else(grains):
+    seen = np.asarray(jax.jit(views.covered(SYSTEM.nuisance.cover))({}, grains))
     assert (seen[:, :15, :15] == 255).all()
-    changed = (seen != np.asarray(images)).any(axis=(0, 3))
+    changed = (seen != np.asarray(grains)).any(axis=(0, 3))
     assert not changed[16:].any()
     assert not changed[:, 16:].any()
 
 
-def reconstruction(variables, images, keep):
+def reconstruction(variables, grains, keep):
     """By the networks: the latents that are not kept are 0."""
-    return _reconstruction(variables, images, tuple(keep))
+    return _reconstruction(variables, grains, tuple(keep))
 
 
 @partial(jax.jit, static_argnums=2)
-def _reconstruction(variables, images, keep):
-    mean, _, _ = vae.encode(CONFIG, variables, images.astype(jnp.float32) / 255, train=False)
+def _reconstruction(variables, grains, keep):
+    mean, _, _ = vae.encode(CONFIG, variables, grains.astype(jnp.float32) / 255, train=False)
     latents = jnp.stack([mean[:, i] if kept else 0 * mean[:, i] for i, kept in enumerate(keep)], 1)
     return vae.decode(CONFIG, variables, latents, (64, 64), train=False)[0]
 
 
-def test_a_masked_reconstruction_does_not_depend_on_a_masked_latent(images, variables):
+def test_a_masked_reconstruction_does_not_depend_on_a_masked_latent(grains, variables):
     view = jax.jit(views.reconstructed(CONFIG))
-    seen = view({"variables": variables, "keep": jnp.array([True, False, True])}, images)
-    expected = reconstruction(variables, images, [True, False, True])
+    seen = view({"variables": variables, "keep": jnp.array([True, False, True])}, grains)
+    expected = reconstruction(variables, grains, [True, False, True])
     assert seen.dtype == jnp.uint8
     np.testing.assert_allclose(seen.astype(float), expected * 255, atol=0.51)
-    nothing = view({"variables": variables, "keep": jnp.zeros(3, bool)}, images)
+    nothing = view({"variables": variables, "keep": jnp.zeros(3, bool)}, grains)
     assert (nothing == nothing[0]).all()
 
 
-def test_only_a_region_is_reconstructed(images, variables):
+def test_only_a_region_is_reconstructed(grains, variables):
     region = np.zeros((64, 64), bool)
     region[10:20, 5:40] = True
     parameters = {"variables": variables, "keep": jnp.array([True, False, True])}
-    drawn = views.see(views.reconstructed(CONFIG), parameters, images)
-    seen = views.see(views.inpainted(CONFIG), {**parameters, "region": region}, images)
-    np.testing.assert_array_equal(seen, np.where(region[..., None], drawn, images))
+    drawn = views.see(views.reconstructed(CONFIG), parameters, grains)
+    seen = views.see(views.inpainted(CONFIG), {**parameters, "region": region}, grains)
+    np.testing.assert_array_equal(seen, np.where(region[..., None], drawn, grains))
 
 
 def test_the_same_view_is_the_same_static_argument():

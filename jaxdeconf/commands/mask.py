@@ -16,7 +16,7 @@ import jax
 import tyro
 
 from jaxdeconf.commands.guard import cache_compilations, complain, guarded
-from jaxdeconf.commands.parse import Where, parse, quietly
+from jaxdeconf.commands.parse import Where, first, parse
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.owner import owned
@@ -71,14 +71,7 @@ def read(words: Sequence[str]) -> tuple[Arguments, Masking]:
       ValueError: one line that says what is wrong.
       StoreError: if there is no masking to resume.
     """
-    early = quietly(
-        lambda: tyro.cli(
-            Where,
-            args=[word for word in words if word not in ("-h", "--help")],
-            default=Where(),
-            return_unknown_args=True,
-        )[0]
-    )
+    early = first(words, Where)
     held = Asked() if early.held is None else begun(early.held, Asked)[0]
     asked = parse(Arguments, "jaxdeconf mask", __doc__ or "", words, Arguments(config=held))
     if not asked.config.demos:

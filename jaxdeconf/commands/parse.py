@@ -49,16 +49,20 @@ class First(Where):
     system: str = "cartpole"
 
 
-def first(arguments: Sequence[str]) -> First:
+Early = TypeVar("Early", bound=Where)
+
+
+def first(arguments: Sequence[str], kind: type[Early] = First) -> Early:
     """The flags that decide what the others change.
 
+    Args:
+      arguments: of the command line.
+      kind: which flags those are.
     Raises:
       ValueError: one line that says what is wrong.
     """
     words = [word for word in arguments if word not in ("-h", "--help")]
-    return quietly(
-        lambda: tyro.cli(First, args=words, default=First(), return_unknown_args=True)[0]
-    )
+    return _quietly(lambda: tyro.cli(kind, args=words, default=kind(), return_unknown_args=True)[0])
 
 
 def parse(
@@ -75,7 +79,7 @@ def parse(
     Raises:
       ValueError: one line that says what is wrong.
     """
-    return quietly(
+    return _quietly(
         lambda: tyro.cli(kind, prog=program, description=description, args=words, default=default)
     )
 
@@ -93,7 +97,7 @@ def parse_value(field: str, value: str) -> Any:
     for name in field.split("."):
         kind = get_type_hints(kind, include_extras=True)[name]
     try:
-        return quietly(lambda: tyro.cli(kind, args=value.split()))
+        return _quietly(lambda: tyro.cli(kind, args=value.split()))
     except ValueError as error:
         said = re.sub(r"^[^:]*: ", "", str(error))
         raise ValueError(f"--{field.replace('_', '-')}: {said}") from None
@@ -110,7 +114,7 @@ def choose(presets: Mapping[str, Config], preset: str) -> Config:
     return presets[preset]
 
 
-def quietly(read: Callable[[], Any]) -> Any:
+def _quietly(read: Callable[[], Any]) -> Any:
     """What tyro reads, or a ValueError of one line."""
     messages = io.StringIO()
     try:

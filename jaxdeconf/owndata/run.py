@@ -1,7 +1,6 @@
 """One masking from a dataset to a dataset: read, check, disentangle, mask, judge, write."""
 
 import contextlib
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -225,9 +224,6 @@ def _pictures(demos: Dataset, view: View | None) -> Pictures:
 @contextlib.contextmanager
 def _timed(this: Run, name: str) -> Iterator[None]:
     """A stage that is done again when a masking is resumed."""
-    with this.reporter.bar(name, 1) as bar:
-        begin = time.perf_counter()
+    with this.timed(name):
         yield
-        this.seconds[name] = time.perf_counter() - begin
-        bar.update(1, "")
     this.interruption.check()

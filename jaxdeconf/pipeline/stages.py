@@ -4,8 +4,9 @@ Written once: `stage` for what is done in one piece, `watch` for what is trained
 that the page of the method, `deconfound`, leaves open.
 """
 
+import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,6 +41,15 @@ class Run:
         """The key that every random choice of the run follows from, by name."""
         return jax.random.key(self.config.seed)
 
+    @contextlib.contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """A bar and a clock around what is done in one piece."""
+        with self.reporter.bar(name, 1) as bar:
+            begin = time.perf_counter()
+            yield
+            self.seconds[name] = time.perf_counter() - begin
+            bar.update(1, "")
+
     def stage(
         self, name: str, compute: Callable[[], Any], made_from: Mapping[str, str] | None = None
     ) -> Any:
@@ -56,11 +66,8 @@ class Run:
             self.seconds[name] = notes["seconds"]
             return value
         self.interruption.check()
-        with self.reporter.bar(name, 1) as bar:
-            begin = time.perf_counter()
+        with self.timed(name):
             value = jax.tree.map(jnp.asarray, jax.block_until_ready(compute()))
-            self.seconds[name] = time.perf_counter() - begin
-            bar.update(1, "")
         self.store.save(name, 0, value, {"seconds": self.seconds[name]}, made_from or {})
         self.interruption.check()
         return value
