@@ -12,7 +12,7 @@ from jaxdeconf.owndata.results import Found
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.results import Pictures
 from jaxdeconf.report import canvas, page, words
-from jaxdeconf.report.words import fixed, number, percent, subscript
+from jaxdeconf.report.words import fixed, percent, subscript
 
 _LEAKS, _LOST = 0.05, 0.95  # R² that written frames may tell; share of a state's that they must
 
@@ -73,7 +73,8 @@ def verdict(found: Found) -> list[str]:
         f"Written frames tell less of {', '.join(lost)}, which moves the expert: too much may be "
         "masked."
         if lost
-        else "All states that move the expert can be told from written frames as from recorded."
+        else "Of the states that move the expert, those that recorded frames tell can be told from "
+        "written ones as well."
     )
     pixels, size = found.written.region_pixels, found.config["size"]
     where = f"{percent(pixels / size**2)} of the pixels were redrawn"
@@ -150,8 +151,8 @@ def _latents(found: Found) -> Iterator[str]:
     rows = []
     for latent, kl in enumerate(found.kl):
         became = words.status(found, latent)
-        numbers = (found.nuisance_share[latent], found.spread[latent], found.stability[latent])
-        cells = [fixed(value, 2) for value in (kl, *numbers)]
+        cells = [fixed(kl, 2), words.share(found.nuisance_share[latent])]
+        cells += [fixed(value, 2) for value in (found.spread[latent], found.stability[latent])]
         rows.append([subscript("o", latent + 1), (became, became), *cells])
     note = (
         "Share: of its variance, what the previous action explains. Spread: in first frames, over "
@@ -167,7 +168,7 @@ def _latents(found: Found) -> Iterator[str]:
 def _about(found: Found) -> Iterator[str]:
     seconds = {**found.seconds, "total": sum(found.seconds.values())}
     yield page.table(["stage", "seconds"], [[stage, f"{s:.1f}"] for stage, s in seconds.items()])
-    about = {**found.versions, "peak memory": f"{number(found.peak_memory_mb)} MB"}
+    about = {**found.versions, "peak memory": f"{found.peak_memory_mb:.0f} MB"}
     yield page.table(["made with", ""], list(about.items()), kind="words")
     fields = [[name, words.shown(value)] for name, value in words.leaves(to_plain(found.config))]
     yield page.folded("Config", page.table(["field", "value"], fields, kind="words"))
