@@ -19,13 +19,15 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxdeconf import checks
-from jaxdeconf.independence import hoeffding_d, p_value, refined_d
+from jaxdeconf.independence import p_value
 from jaxdeconf.independence import threshold as null_threshold
+from jaxdeconf.independence.hoeffding import HOEFFDING
+from jaxdeconf.independence.refined import REFINED
 from jaxdeconf.independence.ties import few_events, with_ties
 from jaxdeconf.traced import Traced, traceable
 
 # By name; on one scale and with one null law.
-STATISTICS = {"hoeffding": hoeffding_d, "refined": refined_d}
+STATISTICS = {"hoeffding": HOEFFDING, "refined": REFINED}
 
 
 @traceable
@@ -110,7 +112,7 @@ def find_mask(
     checks.one_of("statistic", statistic, tuple(STATISTICS))
     tested = _side_by_side(latents, controls)
     gamma = effective_threshold(threshold, alpha, n, coordinates * tested.shape[1])
-    d, tied = with_ties(states, tested, STATISTICS[statistic](states, tested))
+    d, tied = with_ties(states, tested, STATISTICS[statistic])
     if not isinstance(tied, Tracer) and tied.any():
         _warn_of_few_events(initial_states=states, observations=latents, actions=controls)
 

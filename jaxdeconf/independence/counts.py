@@ -13,6 +13,7 @@ of W lanes; position q of a pair's sequence is kept at [tile, q % K, lane] of it
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -24,19 +25,14 @@ class Grid(NamedTuple):
     """How C pairs of permutations are laid out; `size` positions a pair, the last are padding."""
 
     base: int
-    levels: int
+    blocks: int  # B, of a pair
     pairs: int
     lanes: int
 
     @property
-    def blocks(self) -> int:
-        """B, blocks of a pair."""
-        return self.base ** (self.levels - 1)
-
-    @property
     def size(self) -> int:
         """Positions of a pair, N and the padding."""
-        return self.base**self.levels
+        return self.base * self.blocks
 
     @property
     def tiles(self) -> int:
@@ -86,12 +82,12 @@ def plan(n: int, pairs: int, platform: str) -> Grid:
     blocks = base ** (levels - 1)
     if pairs == 1 or (levels > 2 and platform == "cpu"):
         halves = base * base // 2 if levels > 3 and platform == "cpu" else blocks // 2
-        return Grid(base, levels, 1, halves)
+        return Grid(base, blocks, 1, halves)
     width = 8 if platform == "cpu" else max(1, 2**24 // base**levels)  # pairs in a tile
     while width > 1 and pairs <= width:
         width //= 2
     tiles = min(4, -(-pairs // width))
-    return Grid(base, levels, width * tiles, width * blocks)
+    return Grid(base, blocks, width * tiles, width * blocks)
 
 
 def count_below(
@@ -115,34 +111,35 @@ def count_below(
         place = grid.place(pair, run * run_blocks * base + p)
         if run_blocks < grid.blocks:
             digits = _scatter(place, jnp.broadcast_to(digit, place.shape).astype(jnp.uint8))
-        equal, less = _tables(_tiled(_histogram, digits), grid, run_blocks)
+        equal, less = cumulative(tiled(partial(histogram, size=base), digits), grid, run_blocks)
         cell = (digit * run_blocks + p // base) * less.shape[-1]
         cell = cell + pair * (grid.blocks // run_blocks) + run
-        count = count + take(less, cell) + take(_tiled(_count_less, digits), place)
+        count = count + take(less, cell) + take(tiled(_count_less, digits), place)
         if weights is not None:
             stream = _scatter(place, weights)
-            heavier = _tables(_tiled(_weigh_digits, (digits, stream)), grid, run_blocks)[1]
+            heavier = cumulative(tiled(_weigh_digits, (digits, stream)), grid, run_blocks)[1]
             weight = weight + take(heavier, cell)
-            weight = weight + take(_tiled(_weigh_less, (digits, stream)), place)
+            weight = weight + take(tiled(_weigh_less, (digits, stream)), place)
         if run_blocks > base:
-            p = take(equal, cell) + take(_tiled(_count_equal, digits), place)
+            p = take(equal, cell) + take(tiled(_count_equal, digits), place)
         run_blocks //= base
     p = p.astype(jnp.uint16)
     if weights is not None:
-        weight = weight + _tiled(_weigh_less, (p, weights))
-    return count + _tiled(_count_less, p), weight
+        weight = weight + tiled(_weigh_less, (p, weights))
+    return count + tiled(_count_less, p), weight
 
 
-def _tables(histogram: Array, grid: Grid, run_blocks: int) -> tuple[Array, Array]:
+def cumulative(histograms: Array, grid: Grid, run_blocks: int) -> tuple[Array, Array]:
     """Samples of the run in earlier blocks with the same, and with a smaller, digit.
 
-    [K, blocks of a run, runs] each, from the histogram [T, K, W] of every block: counts are
-    int32, sums of weights int64.
+    [D, blocks of a run, runs] each, from the histogram [T, D, W] of every block, of D digits:
+    counts are int32, sums of weights int64.
     """
-    rows = histogram.transpose(1, 0, 2).reshape(grid.base, -1, run_blocks).transpose(2, 0, 1)
-    rows = rows.astype(jnp.int32 if histogram.dtype == jnp.uint8 else jnp.int64)
+    digits = histograms.shape[1]
+    rows = histograms.transpose(1, 0, 2).reshape(digits, -1, run_blocks).transpose(2, 0, 1)
+    rows = rows.astype(jnp.int32 if histograms.dtype == jnp.uint8 else jnp.int64)
     equal = _prefix(rows, grid.base).swapaxes(0, 1)
-    return equal, _scan_sum(equal)[0]
+    return equal, scan_sum(equal)[0]
 
 
 def take(values: Array, index: Array) -> Array:
@@ -156,7 +153,7 @@ def _scatter(place: Array, values: Array) -> Array:
     return stream.reshape(place.shape)
 
 
-def _tiled(function: Callable, blocks: Array | tuple[Array, Array]) -> Array:
+def tiled(function: Callable, blocks: Array | tuple[Array, Array]) -> Array:
     """`function` of one tile after the other."""
     return jax.lax.map(function, blocks)
 
@@ -178,10 +175,10 @@ def _count_earlier(block: Array, compare: Callable[[Array, Array], Array]) -> Ar
     return count
 
 
-def _histogram(block: Array) -> Array:
-    """[K, W] uint8: rows of the block that hold each digit."""
-    digit = jnp.arange(block.shape[0], dtype=jnp.uint8)[:, None]
-    count = jnp.zeros(block.shape, jnp.uint8)
+def histogram(block: Array, size: int) -> Array:
+    """[size, W] uint8: rows of the block [K, W] that hold each digit."""
+    digit = jnp.arange(size, dtype=jnp.uint8)[:, None]
+    count = jnp.zeros((size, block.shape[1]), jnp.uint8)
     for k in range(block.shape[0]):
         count = count + (block[k : k + 1] == digit).astype(jnp.uint8)
     return count
@@ -208,7 +205,7 @@ def _weigh_digits(tile: tuple[Array, Array]) -> Array:
     return total
 
 
-def _scan_sum(rows: Array) -> tuple[Array, Array]:
+def scan_sum(rows: Array) -> tuple[Array, Array]:
     """Exclusive prefix sums over axis 0 and the total; jnp.cumsum is many times slower on CPU."""
     total, before = jax.lax.scan(
         lambda carry, row: (carry + row, carry), jnp.zeros_like(rows[0]), rows
@@ -217,10 +214,10 @@ def _scan_sum(rows: Array) -> tuple[Array, Array]:
 
 
 def _prefix(rows: Array, base: int) -> Array:
-    """Exclusive prefix sums over axis 0, whose length is a power of `base`, in short scans."""
+    """Exclusive prefix sums over axis 0, in short scans where its length is a power of `base`."""
     length, *rest = rows.shape
-    if length <= base:
-        return _scan_sum(rows)[0]
+    if length <= base or length % base:
+        return scan_sum(rows)[0]
     split = rows.reshape(length // base, base, *rest).swapaxes(0, 1)
-    before, total = _scan_sum(split)
+    before, total = scan_sum(split)
     return (before + _prefix(total, base)[None]).swapaxes(0, 1).reshape(rows.shape)

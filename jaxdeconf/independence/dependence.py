@@ -6,11 +6,16 @@ Source of q: Benjamini & Hochberg, "Controlling the false discovery rate", J. R.
 
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from jaxdeconf.independence.hoeffding import hoeffding_d
+from jaxdeconf.independence.hoeffding import HOEFFDING
 from jaxdeconf.independence.null import p_value
-from jaxdeconf.independence.refined import refined_d
+from jaxdeconf.independence.ranks import rank_on_host
+from jaxdeconf.independence.refined import REFINED
+from jaxdeconf.independence.table import both_columns, counted
+from jaxdeconf.independence.ties import of_ranks
 
 
 class Dependence(NamedTuple):
@@ -37,9 +42,13 @@ def dependence(x: Any, y: Any) -> Dependence:
     tables = [given for given in (x, y) if hasattr(given, "iloc") and hasattr(given, "columns")]
     # Columns of several types, as of buttons and positions, come as objects unless one is named.
     values_x, values_y = (v.to_numpy(float) if any(v is t for t in tables) else v for v in (x, y))
-    r = refined_d(values_x, values_y)
+    shape, dtype = np.shape(values_x)[1:] + np.shape(values_y)[1:], jnp.result_type(float)
+    with jax.enable_x64(True):
+        xs, ys = (rank_on_host(np.asarray(v)) for v in both_columns(values_x, values_y))
+        found = counted(xs, ys, HOEFFDING), of_ranks(xs, ys, REFINED)[0]
+    d, r = (np.asarray(part, dtype).reshape(shape) for part in found)
     p = np.asarray(p_value(r, len(values_x)))
-    parts = [np.asarray(hoeffding_d(values_x, values_y)), np.asarray(r), p, false_discovery_rate(p)]
+    parts = [d, r, p, false_discovery_rate(p)]
     if tables:  # made by pandas' own class, which need not be imported for it
         names = [getattr(v, "columns", None) for v in (x, y)]
         shape = [np.atleast_2d(np.transpose(v)).shape[0] for v in (values_x, values_y)]

@@ -16,7 +16,8 @@ whose terms are no larger than the answer: float64 sums it exactly, but for roun
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxdeconf.independence.pairs import Below, Statistic, Total, all_pairs
+from jaxdeconf.independence.pairs import Below, Statistic, Total
+from jaxdeconf.independence.table import all_pairs
 
 
 def hoeffding_d(x: ArrayLike, y: ArrayLike) -> Array:
@@ -33,7 +34,7 @@ def hoeffding_d(x: ArrayLike, y: ArrayLike) -> Array:
       ValueError: on shapes, lengths or types that do not fit, and on NaN outside of jit. Inside
         of jit a NaN in a column makes that column's results NaN.
     """
-    return all_pairs(x, y, Statistic(_hoeffding, weighted=False))
+    return all_pairs(x, y, HOEFFDING)
 
 
 def _hoeffding(below: Below, n: int, total: Total) -> Array:
@@ -41,3 +42,6 @@ def _hoeffding(below: Below, n: int, total: Total) -> Array:
     e = a * b - (n - 2) * c
     d = n - 1 - a - b + c
     return total(e * (e + 1 - a - b) - (n - 2) * c * (d - 1))
+
+
+HOEFFDING = Statistic(_hoeffding, weighted=False)

@@ -1,4 +1,4 @@
-"""Rank statistics of every column of x against every column of y, in one jitted call.
+"""Rank statistics of pairs of ranked variables, in one jitted call.
 
 Shapes: N samples, S columns of x, P columns of y, C pairs in a chunk, K and B as in `counts`.
 """
@@ -11,17 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
-from jax.typing import ArrayLike
 
 from jaxdeconf.independence.counts import Grid, count_below, plan, take
-from jaxdeconf.independence.ranks import (
-    Ranks,
-    columns,
-    rank_on_device,
-    rank_on_host,
-    reverse_ties,
-)
+from jaxdeconf.independence.ranks import Ranks, rank_on_device, reverse_ties
 
 
 class Below(NamedTuple):
@@ -45,113 +37,111 @@ class Statistic(NamedTuple):
     weighted: bool  # it reads `y_of_both`
 
 
-def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
-    """30 times the statistic for each pair; shapes and errors as `hoeffding_d`."""
-    xs, ys = columns("x", x), columns("y", y)
-    if xs.shape[1] != ys.shape[1]:
-        raise ValueError(f"y: expected {xs.shape[1]} samples, as x has, got {ys.shape[1]}")
-    shape = np.shape(x)[1:] + np.shape(y)[1:]
-    platform = jax.default_backend()
-    dtype = jnp.result_type(float)
-    settings = _Settings(statistic, platform, shape)
-    traced = isinstance(xs, Tracer) or isinstance(ys, Tracer)
-    with jax.enable_x64(True):
-        if platform == "cpu" and not traced:
-            ranks = rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys))
-            result = _from_ranks(*ranks, settings)
-        else:
-            result = _from_values(jnp.asarray(xs), jnp.asarray(ys), settings)
-        return jax.lax.convert_element_type(result, dtype)
-
-
-class _Settings(NamedTuple):
-    """What a compiled pass depends on beside its shapes."""
-
-    statistic: Statistic
-    platform: str
-    shape: tuple[int, ...]
-
-
-@partial(jax.jit, static_argnames="settings")
-def _from_values(x: Array, y: Array, settings: _Settings) -> Array:
+@partial(jax.jit, static_argnames=("statistic", "platform"))
+def from_values(x: Array, y: Array, statistic: Statistic, platform: str) -> Array:
+    """[S, P] float64 of x [S, N] and y [P, N], ranked on the device."""
     (ranks_x, tied_x), (ranks_y, tied_y) = rank_on_device(x), rank_on_device(y)
     result = jax.lax.cond(
         tied_x | tied_y,
-        lambda: _from_ranks(ranks_x, ranks_y, settings),
-        lambda: _from_ranks(
+        lambda: from_ranks(ranks_x, ranks_y, statistic, platform),
+        lambda: from_ranks(
             ranks_x._replace(first=None, last=None),
             ranks_y._replace(first=None, last=None),
-            settings,
+            statistic,
+            platform,
         ),
     )
     missing = jnp.isnan(x).any(axis=1)[:, None] | jnp.isnan(y).any(axis=1)[None, :]
-    return jnp.where(missing.reshape(settings.shape), jnp.nan, result)
+    return jnp.where(missing, jnp.nan, result)
 
 
-@partial(jax.jit, static_argnames="settings")
-def _from_ranks(x: Ranks, y: Ranks, settings: _Settings) -> Array:
+@partial(jax.jit, static_argnames=("statistic", "platform"))
+def from_ranks(x: Ranks, y: Ranks, statistic: Statistic, platform: str) -> Array:
+    """[S, P] float64: 30 times the statistic of each pair of S and P variables."""
     (rows, n), cols = x.rank.shape, y.rank.shape[0]
-    grid = plan(n, rows * cols, settings.platform)
-    views_x, views_y = _arrange(x, grid), _arrange(y, grid)
+    grid = plan(n, rows * cols, platform)
+    views_x, views_y = arrange(x, grid), arrange(y, grid)
 
-    def one_chunk(pair: Array) -> Array:
-        row, col = pair // cols, pair % cols
-        below, real = _below(views_x, views_y, row, col, n, grid, settings.statistic.weighted)
-        return settings.statistic.value(
-            below, n, lambda terms: grid.total(jnp.where(real, terms, 0.0))
-        )
+    def values(row: Array, col: Array) -> Array:
+        below = _below(views_x, views_y, row, col, grid, statistic.weighted)
+        return statistic.value(below, n, partial(total, n=n, grid=grid))
 
-    chunks = -(-rows * cols // grid.pairs)
-    pairs = jnp.arange(chunks * grid.pairs, dtype=jnp.int32) % (rows * cols)
-    total = jax.lax.map(one_chunk, pairs.reshape(chunks, grid.pairs))
+    return of_each_pair(values, (rows, cols), n, grid.pairs)
+
+
+def total(terms: Array, n: int, grid: Grid) -> Array:
+    """[C] sums over the samples, not the padding, of each pair."""
+    return grid.total(jnp.where(positions(grid) < n, terms, 0.0))
+
+
+def of_each_pair(
+    values: Callable[[Array, Array], Array], shape: tuple[int, int], n: int, chunk: int
+) -> Array:
+    """[S, P] 30 times the statistic by its `values` [C] of pairs `row`, `col`, C at once."""
+    rows, cols = shape
+    chunks = -(-rows * cols // chunk)
+    pairs = jnp.arange(chunks * chunk, dtype=jnp.int32) % (rows * cols)
+    total = jax.lax.map(lambda pair: values(pair // cols, pair % cols), pairs.reshape(-1, chunk))
     total = total.reshape(-1)[: rows * cols]
     quintuples = float(n) * (n - 1.0) * (n - 2.0) * (n - 3.0) * (n - 4.0)
-    return (30.0 / quintuples * total).reshape(settings.shape)
+    return (30.0 / quintuples * total).reshape(shape)
 
 
-class _Views(NamedTuple):
+def positions(grid: Grid) -> Array:
+    """[T, K, W] the position in its pair's sequence that is kept at each place."""
+    position = in_blocks(jnp.arange(grid.size, dtype=jnp.int32), grid)
+    return grid.tile(jnp.broadcast_to(position, (grid.pairs, *position.shape[1:])))
+
+
+class Views(NamedTuple):
     """V variables padded to the grid, under O orders of their ties (one where there are none).
 
     See `Ranks`. `first` and `last` are those of the first order.
     """
 
-    order: Array  # [O, V, K, B]
-    rank: Array  # [O, V, size]
-    digit: Array  # [O, V, size] uint8: first digit of the rank
+    order: Array  # [O V, K, B]
+    rank: Array  # [O V, size]
+    digit: Array  # [O V, size] uint8: first digit of the rank
     first: Array | None  # [V, K, B]
     last: Array | None
 
+    @property
+    def orders(self) -> int:
+        """O."""
+        return 1 if self.first is None else 2
 
-def _arrange(ranks: Ranks, grid: Grid) -> _Views:
+    def under(self, order: Array, variable: Array) -> Array:
+        """Where the variable stands under an order; a slice of an order would be copied."""
+        return order * (len(self.rank) // self.orders) + variable
+
+
+def arrange(ranks: Ranks, grid: Grid) -> Views:
     """Pads with samples above all others in both variables, which count for nobody."""
     variables, n = ranks.rank.shape
     rest = jnp.arange(n, grid.size, dtype=jnp.int32)
     rest = jnp.broadcast_to(rest, (variables, grid.size - n))
     ranks = jax.tree.map(lambda part: jnp.concatenate([part, rest], axis=1), ranks)
     orders = [ranks] if ranks.first is None else [ranks, reverse_ties(ranks)]
-    rank = jnp.stack([view.rank for view in orders])
-    return _Views(
-        order=jnp.stack([_blocks(view.order, grid) for view in orders]),
+    rank = jnp.concatenate([jnp.asarray(view.rank) for view in orders])
+    return Views(
+        order=jnp.concatenate([in_blocks(view.order, grid) for view in orders]),
         rank=rank,
         digit=(rank // grid.blocks).astype(jnp.uint8),
-        first=None if ranks.first is None else _blocks(ranks.first, grid),
-        last=None if ranks.last is None else _blocks(ranks.last, grid),
+        first=None if ranks.first is None else in_blocks(ranks.first, grid),
+        last=None if ranks.last is None else in_blocks(ranks.last, grid),
     )
 
 
-def _blocks(sequences: Array | np.ndarray, grid: Grid) -> Array:
+def in_blocks(sequences: Array | np.ndarray, grid: Grid) -> Array:
     """[V, size] -> [V, K, B]."""
     return jnp.asarray(sequences).reshape(-1, grid.blocks, grid.base).swapaxes(1, 2)
 
 
-def _below(
-    xs: _Views, ys: _Views, row: Array, col: Array, n: int, grid: Grid, weighted: bool
-) -> tuple[Below, Array]:
-    """`Below` [T, K, W] of the pairs `row`, `col` [C] in x-order, and which places are samples."""
+def _below(xs: Views, ys: Views, row: Array, col: Array, grid: Grid, weighted: bool) -> Below:
+    """`Below` [T, K, W] of the pairs `row`, `col` [C] in x-order."""
     pair, _ = grid.block_numbers()
-    position = _blocks(jnp.arange(grid.size, dtype=jnp.int32), grid)
-    position = grid.tile(jnp.broadcast_to(position, (grid.pairs, *position.shape[1:])))
-    p = _read(ys.rank[0], xs.order[0], col, row, grid)
+    position = positions(grid)
+    p = read(ys.rank, xs.order, col, row, grid)
     first_x = last_x = position
     if xs.first is not None and xs.last is not None:
         first_x, last_x = grid.tile(xs.first[row]), grid.tile(xs.last[row])
@@ -161,14 +151,14 @@ def _below(
         first_y, last_y = (take(grid.tile(ends[col]), place) for ends in (ys.first, ys.last))
     weights = first_y + last_y if weighted else None
     if xs.first is None and ys.first is None:
-        digits = _read(xs.digit[0], ys.order[0], row, col, grid)
+        digits = read(xs.digit, ys.order, row, col, grid)
         both, y_of_both = count_below(p, digits, grid, weights)
     else:
         # Reversing the ties takes a sample to its mirror image in the group, and back.
         own = grid.place(pair, position), grid.place(pair, first_x + last_x - position)
         both, y_of_both = _tied_counts(xs, ys, row, col, grid, jnp.stack(own), weights)
-    half, mean = jnp.float64(0.5), jnp.float64(1 / (len(xs.rank) * len(ys.rank)))
-    below = Below(
+    half, mean = jnp.float64(0.5), jnp.float64(1 / (xs.orders * ys.orders))
+    return Below(
         x=half * (first_x + last_x),
         y=half * (first_y + last_y),
         both=mean * both,
@@ -176,12 +166,11 @@ def _below(
         tied_x=half * (last_x - first_x),
         tied_y=half * (last_y - first_y),
     )
-    return below, position < n
 
 
 def _tied_counts(
-    xs: _Views,
-    ys: _Views,
+    xs: Views,
+    ys: Views,
     row: Array,
     col: Array,
     grid: Grid,
@@ -196,20 +185,21 @@ def _tied_counts(
 
     def count(orders: Array) -> tuple[Array, Array]:
         in_x, in_y = orders
+        at_x, at_y = xs.under(in_x, row), ys.under(in_y, col)
         found, weight = count_below(
-            _read(ys.rank[in_y], xs.order[in_x], col, row, grid),
-            _read(xs.digit[in_x], ys.order[in_y], row, col, grid),
+            read(ys.rank, xs.order, at_y, at_x, grid),
+            read(xs.digit, ys.order, at_x, at_y, grid),
             grid,
             None if weights is None else take(weights, own[in_x]),
         )
         return take(found, own[in_x]), take(weight, own[in_x])
 
-    orders = jnp.indices((len(xs.rank), len(ys.rank)), dtype=jnp.int32).reshape(2, -1).T
+    orders = jnp.indices((xs.orders, ys.orders), dtype=jnp.int32).reshape(2, -1).T
     counts, weight = jax.lax.map(count, orders)
     return counts.sum(axis=0), weight.sum(axis=0)
 
 
-def _read(values: Array, order: Array, of: Array, at: Array, grid: Grid) -> Array:
+def read(values: Array, order: Array, of: Array, at: Array, grid: Grid) -> Array:
     """The values [V, size] of variables `of` in the order [V, K, B] of `at`, tiled.
 
     One pair after the other, which keeps XLA on CPU from repeating the reads in every user.

@@ -16,6 +16,8 @@ from jax.typing import ArrayLike
 from jaxdeconf import checks
 
 MIN_SAMPLES = 5  # D_n and R_n are means over quintuples of distinct samples
+IN_CACHE = 2**15  # values that are ranked at once
+FEW = 2**12  # values for which one call of NumPy is faster than ten quicker ones
 
 
 class Ranks(NamedTuple):
@@ -53,25 +55,85 @@ def _count_nan(array: Array) -> int:
 
 
 def rank_on_host(values: np.ndarray) -> Ranks:
-    """Ranks of `values` [V, N] by NumPy, whose sort is 2 to 5 times faster than XLA's on CPU."""
+    """Ranks of `values` [V, N] by NumPy, whose sort is several times faster than XLA's on CPU."""
     variables, n = values.shape
-    values = np.ascontiguousarray(values)
-    order = np.argsort(values, axis=1)
-    # By flat places, which NumPy reads and writes in half the time of (take|put)_along_axis.
-    place = order + n * np.arange(variables)[:, None]
-    ordered = values.reshape(-1)[place]
-    rank = np.empty(values.shape, np.int32)
-    rank.reshape(-1)[place] = np.arange(n, dtype=np.int32)
-    order = order.astype(np.int32)
-    same = ordered[:, 1:] == ordered[:, :-1]  # -0.0 == 0.0
-    if not same.any():
-        return Ranks(order, rank, None, None)
-    edge = np.ones((values.shape[0], 1), bool)
+    order, rank = np.empty((2, variables, n), np.int32)
+    step = max(1, IN_CACHE // n)
     index = np.arange(n, dtype=np.int32)
-    first = np.maximum.accumulate(np.where(np.hstack([edge, ~same]), index, 0), axis=1)
-    last = np.where(np.hstack([~same, edge]), index, n - 1)
-    last = np.minimum.accumulate(last[:, ::-1], axis=1)[:, ::-1]
-    return Ranks(order, rank, first.astype(np.int32), last.astype(np.int32))
+    same = {}
+    for start in range(0, variables, step):
+        rows = slice(start, start + step)
+        place, ordered = _sorted_places(np.ascontiguousarray(values[rows]))
+        rank[rows].reshape(-1)[place] = index
+        order[rows] = place - n * np.arange(len(place))[:, None]
+        ties = ordered[:, 1:] == ordered[:, :-1]  # -0.0 == 0.0
+        if ties.any():
+            same[start] = ties
+    if not same:
+        return Ranks(order, rank, None, None)
+    first, last = np.tile(index, (2, variables, 1))
+    for start, ties in same.items():
+        rows, edge = slice(start, start + step), np.zeros((len(ties), 1), bool)
+        least = np.where(np.hstack([edge, ties]), 0, index)
+        first[rows] = np.maximum.accumulate(least, axis=1)
+        most = np.where(np.hstack([ties, edge]), index[-1], index)
+        last[rows] = np.minimum.accumulate(most[:, ::-1], axis=1)[:, ::-1]
+    return Ranks(order, rank, first, last)
+
+
+def _sorted_places(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[V, N] where the values stand, flattened, in ascending order by row; and these values.
+
+    Value and sample are sorted as one integer: that is vectorised, and takes a third of an argsort.
+    The sample stands in the last bits, so that of 64-bit values only the first bits fit; where
+    these do not suffice to sort a row, it is put right after.
+    """
+    rows, n = values.shape
+    base = n * np.arange(rows)[:, None]
+    if values.size < FEW:
+        key = np.argsort(values, axis=1) + base
+        return key, values.reshape(-1)[key]
+    width = (n - 1).bit_length()
+    key = _host_key(values)
+    if key.itemsize < 8:
+        key = key.astype(np.int64) << 32
+    key &= -1 << width
+    key |= np.arange(n)
+    key.sort(axis=1)
+    key &= (1 << width) - 1
+    key += base
+    ordered = values.reshape(-1)[key]
+    if values.itemsize == 8:
+        for row in np.flatnonzero((ordered[:, 1:] < ordered[:, :-1]).any(axis=1)):
+            order = _sorted_again(values[row], key[row] - n * row)
+            key[row], ordered[row] = order + n * row, values[row, order]
+    return key, ordered
+
+
+def _sorted_again(values: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """[N] an order that is all but right, put right."""
+    for _ in range(4):  # neighbours change places, as in a bubble sort
+        ordered = values[order]
+        falls = np.flatnonzero(ordered[1:] < ordered[:-1])
+        if not falls.size:
+            return order
+        falls = falls[np.diff(falls, prepend=-2) > 1]
+        order[falls], order[falls + 1] = order[falls + 1], order[falls]
+    return np.argsort(values)
+
+
+def _host_key(values: np.ndarray) -> np.ndarray:
+    """Signed integers in the order of `values`, in a new array."""
+    if values.itemsize < 4:
+        return values.astype(np.int32)
+    if values.dtype.kind == "u":
+        return (values ^ values.dtype.type(1 << 8 * values.itemsize - 1)).view(
+            f"i{values.itemsize}"
+        )
+    if values.dtype.kind == "i":
+        return values.copy()
+    bits = (values + values.dtype.type(0)).view(f"i{values.itemsize}")  # -0.0 is 0.0
+    return bits ^ (bits >> (8 * bits.itemsize - 1)) & np.iinfo(bits.dtype).max
 
 
 def rank_on_device(values: Array) -> tuple[Ranks, Array]:

@@ -18,7 +18,7 @@ y-ranks over the samples below in both, beside their count, gives them all in O(
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxdeconf.independence.pairs import Below, Statistic, Total, all_pairs
+from jaxdeconf.independence.pairs import Below, Statistic, Total
 from jaxdeconf.independence.ties import with_ties
 
 
@@ -35,7 +35,7 @@ def refined_d(x: ArrayLike, y: ArrayLike) -> Array:
     Returns:
       [], [P], [S] or [S, P]: R, in [-1/6, 1/3]; types and errors as `hoeffding_d`.
     """
-    return with_ties(x, y, all_pairs(x, y, Statistic(_refined, weighted=True)))[0]
+    return with_ties(x, y, REFINED)[0]
 
 
 def _refined(below: Below, n: int, total: Total) -> Array:
@@ -61,3 +61,6 @@ def _refined(below: Below, n: int, total: Total) -> Array:
 
 def _sum_above(above: Array, tied: Array) -> Array:
     return (above * (above - 1) + tied * (tied + 1)) / 2
+
+
+REFINED = Statistic(_refined, weighted=True)

@@ -21,22 +21,25 @@ Sources: Blum, Kiefer & Rosenblatt, Ann. Math. Stat. 32 (1961); Székely, Rizzo 
 the contour. Shapes: V columns, S of x, P of y, N samples.
 """
 
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.scipy.special import gammaln
 from jax.typing import ArrayLike
 
 from jaxdeconf.independence.null import quantile
-from jaxdeconf.independence.ranks import Ranks, columns, rank_on_device, rank_on_host
+from jaxdeconf.independence.pairs import Statistic
+from jaxdeconf.independence.ranks import Ranks, rank_on_device, rank_on_host
+from jaxdeconf.independence.table import all_pairs, both_columns, chosen, counted, is_traced
 
-# A column counts as tied where the chance that two samples share their value is above that of 100
-# equally frequent values. Below, ties move D by less than a tenth of its standard deviation.
-TIED = 0.01
+# A column counts as tied where the chance that two samples share their value is above that of 333
+# equally frequent values: one of bytes is. Below, ties move D by less than a tenth of its standard
+# deviation.
+TIED = 0.003
 FEW = 10.0  # expected coincidences of two rare events below which no normal law holds
 FEWEST = 5  # events of a column, to tell anything from
 HARMONICS = 16
@@ -44,27 +47,53 @@ EIGENVALUES, WEIGHTS = 8, 24  # the largest, of a column and of a pair; the rest
 NODES = 32  # of the contour: the survival is then good to 1e-3, and to 1e-6 below 0.1
 
 
-def with_ties(x: ArrayLike, y: ArrayLike, d: Array) -> tuple[Array, Array]:
-    """`d`, with R in its place for the pairs of which a column is tied, and which those are.
+def with_ties(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> tuple[Array, Array]:
+    """The statistic, or R on its scale where a column of the pair is tied, and where that is.
 
     Args:
       x: [N] or [N, S] real numbers.
       y: [N] or [N, P] real numbers.
-      d: [], [P], [S] or [S, P] their statistic, D or R, which keeps its bits where nothing is tied.
+      statistic: D's or R's; keeps its bits where nothing is tied.
     Returns:
-      d's shape and type each; the second bool.
+      [], [P], [S] or [S, P] each; the second bool.
     """
-    xs, ys = columns("x", x), columns("y", y)
+    xs, ys = both_columns(x, y)
+    shape, dtype = np.shape(x)[1:] + np.shape(y)[1:], jnp.result_type(float)
+    if is_traced(xs, ys):
+        d = all_pairs(x, y, statistic)
+        with jax.enable_x64(True):
+            ranks = (rank_on_device(jnp.asarray(v))[0] for v in (xs, ys))
+            r, tied = (part.reshape(shape) for part in _scaled(*ranks))
+            return jnp.where(tied & ~jnp.isnan(d), r.astype(dtype), d), tied
     with jax.enable_x64(True):
-        if isinstance(xs, Tracer) or isinstance(ys, Tracer):
-            ranks = rank_on_device(jnp.asarray(xs))[0], rank_on_device(jnp.asarray(ys))[0]
-        else:
-            ranks = rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys))
-            if all(part.first is None for part in ranks):
-                return d, jnp.zeros(d.shape, bool)
-            ranks = map(_with_ends, ranks)
-        r, tied = (part.reshape(d.shape) for part in _scaled(*ranks))
-        return jnp.where(tied & ~jnp.isnan(d), r.astype(d.dtype), d), tied
+        ranks = rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys))
+        d, tied = of_ranks(*ranks, statistic)
+        return jnp.asarray(d, dtype).reshape(shape), jnp.asarray(tied).reshape(shape)
+
+
+def of_ranks(x: Ranks, y: Ranks, statistic: Statistic) -> tuple[Array | np.ndarray, np.ndarray]:
+    """[S, P] as `with_ties`, of variables ranked on the host; under 64-bit types."""
+    tied_x, tied_y = (np.asarray(_are_tied(_sharing(ranks, np))) for ranks in (x, y))
+    tied = tied_x[:, None] | tied_y
+    if not tied.any():
+        return counted(x, y, statistic), tied
+    values = np.array(_scaled(_with_ends(x), _with_ends(y))[0])
+    if not tied.all():
+        untied = counted(chosen(x, ~tied_x), chosen(y, ~tied_y), statistic)
+        values[np.ix_(~tied_x, ~tied_y)] = untied
+    return values, tied
+
+
+def _sharing(ranks: Ranks, xp: ModuleType) -> Any:
+    """[V, N] at each rank, how many others have the value there."""
+    if ranks.first is None:
+        return xp.zeros(ranks.rank.shape)
+    return xp.asarray(ranks.last) - xp.asarray(ranks.first)
+
+
+def _are_tied(sharing: Any) -> Any:
+    """[V] bool, of `_sharing`; see `TIED`."""
+    return sharing.mean(axis=1) > TIED * (sharing.shape[1] - 1)
 
 
 def _with_ends(ranks: Ranks) -> Ranks:
@@ -106,8 +135,9 @@ class _Columns(NamedTuple):
 def _columns(ranks: Ranks) -> _Columns:
     n = ranks.rank.shape[1]
     rank, first, last = map(jnp.asarray, (ranks.rank, ranks.first, ranks.last))
-    first, last = (jnp.take_along_axis(ends, rank, axis=1) for ends in (first, last))
-    sharing = last - first  # how many others have a sample's value
+    sharing = _sharing(ranks, jnp)
+    tied = _are_tied(sharing)
+    first, last, sharing = (jnp.take_along_axis(v, rank, axis=1) for v in (first, last, sharing))
     cosine = jnp.cos(jnp.pi * (first + last + 1) / (2.0 * n))
     cosines = [jnp.ones_like(cosine), cosine]
     for _ in range(HARMONICS - 1):
@@ -122,7 +152,7 @@ def _columns(ranks: Ranks) -> _Columns:
         eigenvalues=jnp.where(eigenvalues > 1e-15, eigenvalues, 0.0),  # the others are rounding
         trace=(features**2).mean(axis=-1).sum(axis=-1),
         rare=(first != most).astype(float),
-        tied=sharing.mean(axis=1) > TIED * (n - 1),
+        tied=tied,
     )
 
 

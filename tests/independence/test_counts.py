@@ -6,7 +6,7 @@ import pytest
 from jaxdeconf.independence.counts import Grid, count_below, plan
 
 
-@pytest.mark.parametrize("grid", [Grid(8, 2, 6, 16), Grid(4, 5, 3, 64), Grid(2, 6, 1, 4)])
+@pytest.mark.parametrize("grid", [Grid(8, 8, 6, 16), Grid(4, 256, 3, 64), Grid(2, 32, 1, 4)])
 def test_counts_and_weights_on_every_level(grid):
     """Small bases reach the levels that only samples of millions use. Against direct counts."""
     rng = np.random.default_rng(grid.size)

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxdeconf.independence import hoeffding_d
-from jaxdeconf.independence import pairs as pairs_module
+from jaxdeconf.independence import hoeffding_d, pairs
 from tests.reference import midrank_d, quintuple_d
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden/hoeffding.json").read_text())["cases"]
@@ -106,10 +105,10 @@ def test_vmap_is_a_loop():
 
 def test_compiles_once():
     rng = np.random.default_rng(2)
-    before = pairs_module._from_ranks._cache_size()
+    before = pairs.from_ranks._cache_size()
     for _ in range(3):
         hoeffding_d(rng.normal(size=(33, 2)), rng.normal(size=(33, 2)))
-    assert pairs_module._from_ranks._cache_size() == before + 1
+    assert pairs.from_ranks._cache_size() == before + 1
 
 
 values = st.lists(st.floats(-1e6, 1e6) | st.integers(-3, 3).map(float), min_size=20, max_size=20)

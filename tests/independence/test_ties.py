@@ -1,5 +1,7 @@
 """R of tied columns: its law, its scale, and that its p-values hold their level."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,9 @@ import pytest
 from scipy import stats
 
 from jaxdeconf.independence import hoeffding_d, p_value, permutation_p_value, refined_d
+from jaxdeconf.independence.hoeffding import HOEFFDING
 from jaxdeconf.independence.null import quantile
+from jaxdeconf.independence.refined import REFINED
 from jaxdeconf.independence.ties import few_events, log_survival, with_ties
 from tests.reference import rank_distance_covariance
 
@@ -31,7 +35,7 @@ def p_values(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     wide = (
         np.pad(v, ((0, 0), (0, to - v.shape[1])), mode="edge") for v, to in ((x, ROWS), (y, COLS))
     )
-    r, _ = with_ties(*wide, jnp.zeros((ROWS, COLS)))
+    r, _ = with_ties(*wide, REFINED)
     return np.asarray(p_value(r, N))[: x.shape[1], : y.shape[1]]
 
 
@@ -115,11 +119,11 @@ def test_continuous_and_hardly_tied_columns_keep_their_statistic_bit_for_bit():
     x, y = rng.normal(size=(2, N, 2))
     x[:15, 0] = y[:15, 1] = 0.5  # 5 % of one value: two samples share it in one case of 400
     d = hoeffding_d(x, y)
-    kept, tied = with_ties(x, y, d)
+    kept, tied = with_ties(x, y, HOEFFDING)
     assert not tied.any()
     np.testing.assert_array_equal(kept, d)
     x[:45, 0] = 0.5
-    _, tied = with_ties(x, y, d)
+    _, tied = with_ties(x, y, HOEFFDING)
     np.testing.assert_array_equal(tied, [[True, True], [False, False]])
 
 
@@ -135,7 +139,7 @@ def test_symmetry():
 def test_the_refined_r_has_the_scale_of_its_p_value():
     rng = np.random.default_rng(6)
     x, y = rng.integers(0, 3, size=(2, 64)).astype(np.float32)
-    want, tied = with_ties(x, y, jnp.zeros(()))
+    want, tied = with_ties(x, y, HOEFFDING)
     assert tied
     np.testing.assert_array_equal(refined_d(x, y), want)
 
@@ -145,11 +149,19 @@ def test_a_constant_column_has_no_evidence():
     np.testing.assert_array_equal(p_values(np.ones(N), y), 1.0)
 
 
-def test_a_missing_statistic_stays_missing():
-    x = np.resize(np.arange(3.0), (N, ROWS))
-    d, tied = with_ties(x, np.resize(x, (N, COLS)), jnp.full((ROWS, COLS), jnp.nan))
-    assert tied.all()
-    assert np.isnan(d).all()
+def test_traced_is_as_on_the_host_and_a_missing_statistic_stays_missing():
+    rng = np.random.default_rng(7)
+    x, y = rng.normal(size=(2, 64, 2)).astype(np.float32)
+    x[:, 0] = x[:, 0] > 1
+    traced = jax.jit(partial(with_ties, statistic=HOEFFDING))
+    want, tied = with_ties(x, y, HOEFFDING)
+    found, tied_traced = traced(x, y)
+    np.testing.assert_array_equal(tied, tied_traced)
+    np.testing.assert_allclose(found, want, atol=1e-6)
+    x[0, 0] = np.nan
+    found, _ = traced(x, y)
+    assert np.isnan(found[0]).all()
+    assert not np.isnan(found[1]).any()
 
 
 def test_columns_of_few_events_are_counted():
