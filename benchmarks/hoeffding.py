@@ -1,10 +1,11 @@
 """How fast Hoeffding's D is, with its error beside it: `python -m benchmarks.hoeffding --out DIR`.
 
-For each batch of pairs: compile time, median run from host arrays (ranking included), time a
-pair, peak memory, the worst error against an independent count in extended precision; the time a
-pair of a plain loop of single calls; and the same for the peers that are installed: wdm
-(pyvinecopulib) and hyppo, in Python, and Hmisc and independence, through Rscript. Peers are timed
-on a few pairs of the batch, start-up apart. Needs numpy and jax alone, matplotlib for the plot.
+For each batch of pairs: compile time, median run from host arrays (ranking included, and its share
+of the time), time a pair, peak memory, the worst error against an independent count in extended
+precision; the time a pair of a plain loop of single calls; and the same for the peers that are
+installed: wdm (pyvinecopulib) and hyppo, in Python, and Hmisc and independence, through Rscript.
+Peers are timed on a few pairs of the batch, start-up apart. Needs numpy and jax alone, matplotlib
+for the plot.
 """
 
 import argparse
@@ -25,11 +26,26 @@ import jax
 import numpy as np
 
 from jaxdeconf.independence import hoeffding_d
+from jaxdeconf.independence.ranks import rank_on_host
 
-# Rows, columns, samples, and of how many values each column is; 0 for no ties.
-CASES = [(1, 1, 10**k, 0) for k in range(3, 8)]
-CASES += [(4, 6, 1000, 0), (6, 32, 2000, 0), (16, 64, 4096, 0), (64, 256, 10_000, 0)]
-CASES += [(64, 256, 1000, 0), (3, 2048, 1000, 0), (64, 256, 1000, 9), (3, 2048, 1000, 9)]
+# Rows, columns, samples, and what the columns of x and of y are; see KINDS.
+CASES = [(1, 1, 10**k, "real", "real") for k in range(3, 8)]
+CASES += [(4, 6, 1000, "real", "real"), (6, 32, 2000, "real", "real")]
+CASES += [(16, 64, 4096, "real", "real"), (64, 256, 10_000, "real", "real")]
+CASES += [(64, 256, 1000, "real", "real"), (3, 2048, 1000, "real", "real")]
+CASES += [(64, 256, 1000, "nine", "nine"), (3, 2048, 1000, "nine", "nine")]
+CASES += [(64, 256, 4096, "real", "real")]
+CASES += [
+    (3, cols, 4096, "real", y) for cols in (2048, 12_288) for y in ("real", "bytes", "pixels")
+]
+CASES += [(3, 2048, 4096, "bytes", "bytes"), (3, 2048, 4096, "real", "saturated")]
+KINDS = {  # of the ranks of a column [N], whose length is N
+    "real": lambda rank, n: rank.astype(np.float64),
+    "nine": lambda rank, n: (9.0 * rank) // n,
+    "bytes": lambda rank, n: (256 * rank // n).astype(np.uint8),
+    "pixels": lambda rank, n: (256 * np.maximum(rank - 0.9 * n, 0) // (0.1 * n)).astype(np.uint8),
+    "saturated": lambda rank, n: np.clip(rank, 0.2 * n, 0.8 * n),
+}
 CHECKED = 3  # pairs of a batch that are checked and that peers are timed on
 QUADRATIC = 5000  # samples beyond which the O(N^2) peers are left out
 
@@ -62,15 +78,14 @@ for (name in names(peers)) {
 """
 
 
-def batch(rows: int, cols: int, n: int, values: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weakly dependent columns, of so many values or without ties, exact in float32."""
+def batch(rows: int, cols: int, n: int, *kinds: str) -> tuple[np.ndarray, np.ndarray]:
+    """Weakly dependent columns of these kinds, exact in float32."""
     rng = np.random.default_rng(n + rows * cols)
     x = rng.normal(size=(n, rows))
     y = rng.normal(size=(n, cols)) + 0.1 * x[:, np.arange(cols) % rows]
-    ranks = [np.argsort(np.argsort(v, axis=0), axis=0) for v in (x, y)]
-    if values:
-        ranks = [rank * values // n for rank in ranks]
-    return ranks[0].astype(np.float64), ranks[1].astype(np.float64)
+    ranks = (np.argsort(np.argsort(v, axis=0), axis=0) for v in (x, y))
+    x, y = (KINDS[kind](rank, n) for kind, rank in zip(kinds, ranks, strict=True))
+    return x, y
 
 
 def exact_d(x: np.ndarray, y: np.ndarray) -> float:
@@ -124,9 +139,9 @@ def seconds(call: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def measure(rows: int, cols: int, n: int, values: int, repeats: int) -> dict:
+def measure(rows: int, cols: int, n: int, kinds: tuple[str, str], repeats: int) -> dict:
     """One batch in this process, whose peak memory is then this batch's."""
-    host = x, y = batch(rows, cols, n, values)
+    host = x, y = batch(rows, cols, n, *kinds)
     on_device = jax.default_backend() != "cpu"
     if on_device:
         x, y = (jax.device_put(v.astype(np.float32)) for v in host)
@@ -134,13 +149,14 @@ def measure(rows: int, cols: int, n: int, values: int, repeats: int) -> dict:
     first = seconds(lambda: hoeffding_d(x, y))
     repeats = repeats if rows * cols * n < 10**7 else 3
     run = float(np.median([seconds(lambda: hoeffding_d(x, y)) for _ in range(repeats)]))
+    ranking = np.median([seconds(lambda: [rank_on_host(v.T) for v in host]) for _ in range(3)])
     if on_device:
         peak = (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**20
     else:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before
     found = np.asarray(hoeffding_d(x, y))
     picked = [(i % rows, (7 * i) % cols) for i in range(min(CHECKED, rows * cols))]
-    chosen = [(host[0][:, s], host[1][:, p]) for s, p in picked]
+    chosen = [(host[0][:, s] * 1.0, host[1][:, p] * 1.0) for s, p in picked]
     exact = [exact_d(*pair) for pair in chosen]
     error = max(abs(float(found[at]) - d) for at, d in zip(picked, exact, strict=True))
     single = [(x[:, s], y[:, p]) for s, p in picked]
@@ -150,10 +166,11 @@ def measure(rows: int, cols: int, n: int, values: int, repeats: int) -> dict:
         "rows": rows,
         "cols": cols,
         "n": n,
-        "values": values,
+        "kinds": kinds,
         "compile_s": max(0.0, first - run),
         "median_ms": 1e3 * run,
         "us_per_pair": 1e6 * run / (rows * cols),
+        "ranking": 0.0 if on_device else float(ranking) / run,
         "pairs_per_s": rows * cols / run,
         "peak_mb_over_inputs": peak,
         "max_error": error,
@@ -218,10 +235,11 @@ def show(result: dict) -> None:
     """A row of the table, and under it the peers'."""
     r = result
     print(
-        f"{r['rows']:>3}x{r['cols']:<4} N={r['n']:<9} {r['values'] or 'all':>3} values   "
+        f"{r['rows']:>3}x{r['cols']:<5} N={r['n']:<9} {' x '.join(r['kinds']):17}"
         f"compile {r['compile_s']:5.1f} s   "
         f"median {r['median_ms']:9.2f} ms   {r['us_per_pair']:10.1f} us/pair   "
-        f"{r['pairs_per_s']:9.1f} pairs/s   peak +{r['peak_mb_over_inputs']:.0f} MB   "
+        f"ranking {100 * r['ranking']:3.0f} %   {r['pairs_per_s']:9.1f} pairs/s   "
+        f"peak +{r['peak_mb_over_inputs']:.0f} MB   "
         f"error {r['max_error']:.0e}   loop {r['loop_us_per_pair']:.1f} us/pair",
         flush=True,
     )
@@ -243,7 +261,7 @@ def plot(results: list[dict], device: str, path: Path) -> None:
 
     figure, axes = pyplot.subplots(figsize=(7, 4.5), layout="constrained")
     one = [r for r in results if r["rows"] * r["cols"] == 1]
-    many = [r for r in results if r["rows"] * r["cols"] > 1 and not r["values"]]
+    many = [r for r in results if r["rows"] * r["cols"] > 1 and set(r["kinds"]) == {"real"}]
     axes.loglog([r["n"] for r in one], [r["us_per_pair"] for r in one], "k-o", label="one pair")
     axes.loglog([r["n"] for r in many], [r["us_per_pair"] for r in many], "k--s", label="batches")
     for name in sorted({name for r in results for name in r["peers"]}):
@@ -263,21 +281,21 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for hoeffding.json and hoeffding.png")
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--largest", type=int, default=10**7, help="most samples of one pair")
-    parser.add_argument("--case", nargs=4, type=int, help="as in CASES; prints JSON")
+    parser.add_argument("--case", type=int, help="number of one of CASES; prints JSON")
     arguments = parser.parse_args()
-    if arguments.case:
-        rows, cols, n, values = arguments.case
-        print(json.dumps(measure(rows, cols, n, values, arguments.repeats)))
+    if arguments.case is not None:
+        rows, cols, n, *kinds = CASES[arguments.case]
+        print(json.dumps(measure(rows, cols, n, tuple(kinds), arguments.repeats)))
         return
     device = jax.devices()[0].device_kind
     device = f"{platform.machine()} {device}" if device == "cpu" else device
     print(f"device {device}, jax {jax.__version__}")
     results = []
-    for case in CASES:
+    for number, case in enumerate(CASES):
         if case[2] > arguments.largest:
             continue
         command = [sys.executable, "-m", "benchmarks.hoeffding", "--repeats", arguments.repeats]
-        command += ["--case", *case]
+        command += ["--case", number]
         child = subprocess.run(
             list(map(str, command)), stdout=subprocess.PIPE, text=True, check=True
         )
