@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxdeconf.formats import pixels
-from jaxdeconf.formats.source import Redraw, is_camera, reading
+from jaxdeconf.formats.source import Redraw, is_camera, library, reading
 
 
 def fits(path: Path) -> bool:
@@ -22,28 +22,13 @@ def fits(path: Path) -> bool:
         return file.read(8) == b"\x89HDF\r\n\x1a\n" or path.suffix in (".hdf5", ".h5")
 
 
-def library(path: Path, extra: str) -> Any:
-    """The module h5py.
-
-    Raises:
-      ValueError: if it is not installed; says how to.
-    """
-    try:
-        import h5py
-    except ImportError:
-        raise ValueError(
-            f"{path}: expected h5py to read it, got none; pip install 'jaxdeconf[{extra}]'"
-        ) from None
-    return h5py
-
-
 def look(path: Path, extra: str, see: Callable[[Any], Any]) -> Any:
     """What a function sees in an opened file.
 
     Raises:
       ValueError: if the file cannot be read; names its size, or what it is instead.
     """
-    h5py = library(path, extra)
+    h5py = library(path, "h5py", extra)
     with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
         return see(file)
 
@@ -62,7 +47,7 @@ def cameras(group: Any) -> list[str]:
 
 def episodes(path: Path, extra: str, keys: Sequence[str]) -> Iterator[np.ndarray]:
     """uint8 [T, H, W, 3] of the arrays with these names, one at a time."""
-    h5py = library(path, extra)
+    h5py = library(path, "h5py", extra)
     with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
         for key in keys:
             yield pixels.rgb(f"{path}: {key}", file[key][:])
@@ -70,7 +55,7 @@ def episodes(path: Path, extra: str, keys: Sequence[str]) -> Iterator[np.ndarray
 
 def write(path: Path, extra: str, to: Path, keys: Sequence[str], redraw: Redraw) -> None:
     """Copies a file byte for byte, and in the copy redraws the arrays with these names in place."""
-    h5py = library(path, extra)
+    h5py = library(path, "h5py", extra)
     shutil.copyfile(path, to)
     with h5py.File(to, "r+") as file:
         for key in keys:

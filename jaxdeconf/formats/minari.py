@@ -19,7 +19,16 @@ import numpy as np
 
 from jaxdeconf import checks
 from jaxdeconf.formats import hdf5, pixels
-from jaxdeconf.formats.source import Names, Redraw, Source, choose, is_camera, reading, states_of
+from jaxdeconf.formats.source import (
+    Names,
+    Redraw,
+    Source,
+    choose,
+    is_camera,
+    library,
+    reading,
+    states_of,
+)
 
 _EXTRA, _STATES = "minari", ("infos/qpos", "infos/qvel")
 _FILE, _ABOUT = Path("data/main_data.hdf5"), Path("data/metadata.json")
@@ -88,7 +97,7 @@ def _shows(array: Any) -> bool:
 
 def _frames(path: Path, places: Sequence[str]) -> Iterator[np.ndarray]:
     """uint8 [T + 1, H, W, 3] of each array with these names."""
-    h5py = hdf5.library(path, _EXTRA)
+    h5py = library(path, "h5py", _EXTRA)
     with reading(path / _FILE, "an HDF5 file"), h5py.File(path / _FILE, "r") as file:
         for place in places:
             yield pixels.rgb(f"{path}: {place}", _decoded(file[place][:]))
@@ -105,7 +114,7 @@ def _decoded(stored: np.ndarray) -> np.ndarray:
 
 def _write(path: Path, to: Path, places: Sequence[str], redraw: Redraw) -> None:
     """Copies the folder, with the camera's frames redrawn and none as JPEG."""
-    h5py = hdf5.library(path, _EXTRA)
+    h5py = library(path, "h5py", _EXTRA)
     shutil.copytree(path, to)
     about = json.loads((to / _ABOUT).read_text(encoding="utf-8"))
     if about.get("jpeg_encoding"):

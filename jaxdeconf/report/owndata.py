@@ -84,14 +84,15 @@ def verdict(found: Found) -> list[str]:
 
 
 def of_sources(config: Masking, sources: Sequence[Source]) -> list[str]:
-    """What was taken of each input, a line an input."""
-    names = ("demonstrations", "exploration")
-    if config.exploration is None:
-        alone = "exploration: none, so the β-VAE learns from the demonstrations; frames under "
-        names, last = names[:1], [alone + "random actions part the nuisance from the pose better"]
-    else:
-        last = []
-    return [_of_source(name, one) for name, one in zip(names, sources, strict=False)] + last
+    """What was taken of each input, a line an input, and what is to be said of it."""
+    said = [_of_source("demonstrations", sources[0]), *sources[0].notes]
+    if config.exploration is not None:
+        return [*said, _of_source("exploration", sources[1])]
+    none = (
+        "exploration: none, so the β-VAE learns from the demonstrations; frames under random "
+        "actions part the nuisance from the pose better"
+    )
+    return [*said, none]
 
 
 def _of_source(name: str, source: Source) -> str:
