@@ -4,7 +4,7 @@ Shapes: T steps of one episode, H × W pixels.
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,15 @@ def numbered(group: Any, start: str) -> list[str]:
     return sorted(names, key=lambda name: int(name[len(start) :]))
 
 
+def arrays(group: Any) -> dict[str, Any]:
+    """All arrays in a group, and in those in it, by path."""
+    found: dict[str, Any] = {}
+    group.visititems(
+        lambda name, value: found.update({name: value} if hasattr(value, "shape") else {})
+    )
+    return found
+
+
 def cameras(group: Any) -> list[str]:
     """The keys, of a group, whose arrays may be a camera's frames."""
     arrays = {key: value for key, value in group.items() if hasattr(value, "shape")}
@@ -60,3 +69,15 @@ def write(path: Path, extra: str, to: Path, keys: Sequence[str], redraw: Redraw)
     with h5py.File(to, "r+") as file:
         for key in keys:
             file[key][...] = pixels.redrawn(key, file[key][:], redraw)
+
+
+def replace(path: Path, extra: str, changed: Iterable[tuple[str, dict[str, np.ndarray]]]) -> None:
+    """Puts arrays of another type or shape in place of some, (group, {name in it: the new one})."""
+    h5py = library(path, "h5py", extra)
+    with h5py.File(path, "r+") as file:
+        for group, new in changed:
+            for name, values in new.items():
+                del file[group][name]
+                file[group].create_dataset(
+                    name, data=values, compression="gzip", compression_opts=1
+                )

@@ -5,6 +5,7 @@ Shapes: N episodes, n steps of all, T steps of one, H × W pixels, A action, S s
 
 import contextlib
 import importlib
+import json
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -108,6 +109,12 @@ def reading(path: Path, kind: str, *damage: type[Exception]) -> Iterator[None]:
         yield
     except (*_DAMAGE, *damage) as error:
         raise ValueError(f"{path}: expected {kind}, got {lies_there(path)}") from error
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds."""
+    with reading(path, "a JSON file", json.JSONDecodeError):
+        return json.loads(path.read_text(encoding="utf-8"))
 
 
 def lies_there(path: Path) -> str:

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from jaxdeconf.formats import pixels
-from jaxdeconf.formats.lerobot.layout import INFO, Opened, episodes, frames, numbers, read_json
+from jaxdeconf.formats.lerobot.layout import INFO, Opened, episodes, frames, numbers
 from jaxdeconf.formats.lerobot.writing import write
-from jaxdeconf.formats.source import Names, Source, choose, states_of
+from jaxdeconf.formats.source import Names, Source, choose, read_json, states_of
 
 _STATES = ("observation.environment_state", "observation.state")
 

@@ -45,12 +45,6 @@ class Opened(NamedTuple):
         return list(dict.fromkeys(episode.rows for episode in self.episodes))
 
 
-def read_json(path: Path) -> Any:
-    """What a JSON file holds."""
-    with reading(path, "a JSON file", json.JSONDecodeError):
-        return json.loads(path.read_text(encoding="utf-8"))
-
-
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
     """What each line of a file holds."""
     with reading(path, "lines of JSON", json.JSONDecodeError):

@@ -14,11 +14,10 @@ from jaxdeconf.formats.lerobot.layout import (
     Opened,
     frames,
     parquet_files,
-    read_json,
     read_json_lines,
 )
 from jaxdeconf.formats.lerobot.levels import Levels
-from jaxdeconf.formats.source import Redraw
+from jaxdeconf.formats.source import Redraw, read_json
 
 _TOTAL = Path("meta/stats.json")
 _PER_EPISODE = Path("meta/episodes_stats.jsonl")  # v2.1's; v3 has them in the rows of episodes
