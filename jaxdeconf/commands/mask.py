@@ -20,7 +20,7 @@ from jaxdeconf.commands.parse import Where, first, parse
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.owner import owned
-from jaxdeconf.pipeline.store import OWNER, StoreError, begun, require_free, writing
+from jaxdeconf.pipeline.store import OWNER, StoreError, begun, require_free
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,6 @@ def _mask(
 ) -> list[str]:
     # Imported late: --help and a mistyped flag do not wait for the rest to load.
     from jaxdeconf.owndata import run
-    from jaxdeconf.owndata.results import Found
-    from jaxdeconf.pipeline import results
     from jaxdeconf.pipeline.progress import Reporter
     from jaxdeconf.report import owndata
 
@@ -111,8 +109,7 @@ def _mask(
     if not resume:
         require_free(directory)
     print(*owndata.of_sources(config, run.opened(config)), sep="\n", file=sys.stderr)
-    found = run.mask_dataset(config, directory, Reporter(), resume, interruption)
-    with writing(directory):
-        owndata.write_report(directory, *results.load(directory, Found))
+    run.mask_dataset(config, directory, Reporter(), resume, interruption)
+    found = owndata.redraw(directory)
     print(owndata.summary(found, directory))
     return [] if found.refused is None else [found.refused]

@@ -28,6 +28,7 @@ class Masking:
     # only if it tells the previous action: with few episodes it masks causes, too.
     min_power: float = 0.3
     unvaried: Literal["refuse", "mask", "keep"] = "refuse"  # latents that first frames do not vary
+    clone: bool = False  # compare policies cloned from frames as recorded and as written
     seed: int = 0
     disentangle: DisentangleConfig = field(default_factory=lambda: vae.CPU)
 

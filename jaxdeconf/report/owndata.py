@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +11,10 @@ from jaxdeconf.owndata.check import Check
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.owndata.results import Found
 from jaxdeconf.pipeline.plain import to_plain
-from jaxdeconf.pipeline.results import Pictures
+from jaxdeconf.pipeline.results import Pictures, load
+from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
-from jaxdeconf.report.words import fixed, percent, subscript
+from jaxdeconf.report.words import fixed, number, percent, subscript
 
 _LEAKS, _LOST = 0.05, 0.95  # R² that written frames may tell; share of a state's that they must
 
@@ -20,9 +22,9 @@ _LEAKS, _LOST = 0.05, 0.95  # R² that written frames may tell; share of a state
 def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
     """Writes `figures/` and `report.html` of a masking."""
     canvas.import_matplotlib()
-    from jaxdeconf.report.figures import dependence, frames, region
+    from jaxdeconf.report.figures import dependence, region
 
-    figures = (frames, region) if not len(found.mask) else (frames, region, dependence)
+    figures = (frames, region, dependence) if len(found.mask) else (frames, region)
     drawn = canvas.write(directory / "figures", figures, found, pictures)
     body = [
         page.paragraph(verdict(found)),
@@ -30,6 +32,7 @@ def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
         *page.images(drawn),
         page.heading("What was kept and what is gone"),
         *_comparison(found),
+        *_clones(found),
         page.heading("Before training"),
         page.paragraph(of_check(found.check)),
         _moves(found),
@@ -39,6 +42,28 @@ def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
         *_about(found),
     ]
     page.write(directory / "report.html", f"{found.config['demos']}, masked", body)
+
+
+def redraw(directory: Path) -> Found:
+    """Writes the report of a finished masking, again if there is one; returns what it found.
+
+    Raises:
+      OSError, ValueError, KeyError, TypeError: if there is none, or it cannot be read.
+      WriteError: if the disk does not take what is drawn.
+    """
+    found, pictures = load(directory, Found)
+    with writing(directory):
+        write_report(directory, found, pictures)
+    return found
+
+
+def frames(found: Found, pictures: Pictures) -> Any:
+    """The same moments of one demonstration, in order: as they were recorded, and as they are
+    written.
+    """
+    from jaxdeconf.report import figures  # late: it loads matplotlib
+
+    return figures.frames(found, pictures)  # type: ignore
 
 
 def verdict(found: Found) -> list[str]:
@@ -133,6 +158,21 @@ def _comparison(found: Found) -> Iterator[str]:
         "be gone, and of each initial state that moves an action, which is to be kept."
     )
     yield page.table(["", "recorded", "reconstructed", "written"], rows, note)
+
+
+def _clones(found: Found) -> Iterator[str]:
+    if not found.clones:
+        return
+    rows = [
+        [f"as {name}", number(one.error), number(one.copycat)] for name, one in found.clones.items()
+    ]
+    note = (
+        "Policies cloned from frames as recorded and as written, on a tenth of the episodes, which "
+        "they have not seen. Error: mean squared, of the action over its limit. Copycat: mean "
+        "change of the action over its limit, 0 to 2, when of a frame only the redrawn pixels are "
+        "taken from another one."
+    )
+    yield page.table(["cloned from frames", "error", "copycat"], rows, note)
 
 
 def _moves(found: Found) -> str:

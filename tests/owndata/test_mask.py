@@ -11,6 +11,7 @@ import pytest
 
 import jaxdeconf as jd
 from jaxdeconf.commands import mask as command
+from jaxdeconf.commands import report
 from jaxdeconf.formats import find
 from jaxdeconf.formats.source import Names
 from jaxdeconf.learn.disentangle import DisentangleConfig
@@ -157,6 +158,17 @@ def test_the_results_say_what_was_found(masked):
     assert (masked / "out/figures/dependence.png").exists()
     page = (masked / "out/report.html").read_text()
     assert page.index("masked.") < page.index("<h2>Figures")  # the verdict comes first
+
+
+def test_its_report_is_drawn_again_from_its_directory(masked, capsys):
+    page, strip = masked / "out/report.html", masked / "out/figures/frames.png"
+    before = page.read_bytes(), strip.read_bytes()
+    page.unlink()
+    strip.unlink()
+    assert report.main([str(masked / "out")]) == 0
+    assert capsys.readouterr().out == f"report: {page}\n"
+    assert (page.read_bytes(), strip.read_bytes()) == before
+    assert b"polic" not in before[0].partition(b"<h2>Figures")[2].partition(b"<h2>What was")[0]
 
 
 def test_the_view_makes_of_a_frame_what_was_written(masked):
