@@ -17,6 +17,9 @@ from jaxdeconf.report import canvas, page, words
 from jaxdeconf.report.words import fixed, number, percent, subscript
 
 _LEAKS, _LOST = 0.05, 0.95  # R² that written frames may tell; share of a state's that they must
+_TOLD = (
+    0.5  # R² from which on recorded frames tell a state; below, it is the regression that varies
+)
 
 
 def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
@@ -25,7 +28,8 @@ def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
     from jaxdeconf.report.figures import dependence, region
 
     figures = (frames, region, dependence) if len(found.mask) else (frames, region)
-    drawn = canvas.write(directory / "figures", figures, found, pictures)
+    alone = found._replace(mask=found.asked)  # what the figure calls Algorithm 1's
+    drawn = canvas.write(directory / "figures", figures, alone, pictures)
     body = [
         page.paragraph(verdict(found)),
         page.heading("Figures"),
@@ -93,14 +97,16 @@ def verdict(found: Found) -> list[str]:
         + ("nothing of it" if written <= _LEAKS else "still some of it")
         + f" (R² {fixed(written, 2)})."
     )
-    lost = [name for name, (a, b) in found.retention.items() if b < _LOST * a and a > 0.1]
-    said.append(
-        f"Written frames tell less of {', '.join(lost)}, which moves the expert: too much may be "
-        "masked."
-        if lost
-        else "Of the states that move the expert, those that recorded frames tell can be told from "
-        "written ones as well."
-    )
+    told = {name: pair for name, pair in found.retention.items() if pair[0] > _TOLD}
+    lost = [name for name, (a, b) in told.items() if b < _LOST * a]
+    if lost:
+        names = ", ".join(lost)
+        said.append(f"Written frames tell less of {names}: too much may be masked.")
+    elif told:
+        names = ", ".join(told)
+        said.append(f"Of what moves the expert, written frames tell as much as recorded: {names}.")
+    else:
+        said.append("Of the states that move the expert, recorded frames tell a regression none.")
     pixels, size = found.written.region_pixels, found.config["size"]
     where = f"{percent(pixels / size**2)} of the pixels were redrawn"
     whole = "the masked latents' reach is not local: every frame was reconstructed as a whole"
@@ -124,9 +130,11 @@ def _of_source(name: str, source: Source) -> str:
     height, width = source.size
     low, high = source.lengths.min(), source.lengths.max()
     limit = "their limits" if source.limit is not None else "the largest of each"
+    states = source.initial_states
+    began = "" if states is None else f", initial states of {states.shape[1]} numbers"
     return (
         f"{name}: {source.frames} {height} × {width}, {len(source.lengths)} episodes of {low} to "
-        f"{high} steps, actions of {source.actions.shape[1]} numbers over {limit}"
+        f"{high} steps, actions of {source.actions.shape[1]} numbers over {limit}{began}"
     )
 
 

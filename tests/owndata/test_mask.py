@@ -1,6 +1,8 @@
 """`jaxdeconf mask` on a made-up scene: two blobs that matter, and a corner that shows the past."""
 
 import json
+import sys
+import types
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -193,14 +195,25 @@ def test_the_view_takes_frames_of_another_size(masked):
     assert np.array_equal(dataset.fitted(seen[None], 32)[0][~view.region], frame[~view.region])
 
 
-def test_the_wrapper_of_the_docs_runs(masked):
-    """The page's own lines, around an environment that shows frames of the dataset."""
-    gymnasium = pytest.importorskip("gymnasium")
-    frames = arrays_of(masked / "demos.npz")["frames"]
+def told_by_the_docs(library):
+    """What the page's own lines define, of the block that imports from a library."""
     page = Path(__file__).parents[2].joinpath("docs/own-data.md").read_text(encoding="utf-8")
-    (block,) = [part for part in page.split("```") if part.startswith("python\nimport gymnasium")]
+    blocks = [part for part in page.split("```") if part.startswith("python\nimport")]
+    (block,) = [part for part in blocks if library in part]
     told = {}
     exec(block.removeprefix("python"), told)
+    return told
+
+
+def floats(frame):
+    """A frame as robomimic and LeRobot show it."""
+    return np.moveaxis(frame, -1, 0).astype(np.float32) / 255
+
+
+def test_the_wrapper_of_the_docs_runs(masked):
+    """Around an environment that shows frames of the dataset."""
+    gymnasium = pytest.importorskip("gymnasium")
+    frames = arrays_of(masked / "demos.npz")["frames"]
 
     class Camera(gymnasium.Env):
         observation_space = gymnasium.spaces.Box(0, 255, frames.shape[1:], np.uint8)
@@ -212,9 +225,55 @@ def test_the_wrapper_of_the_docs_runs(masked):
         def step(self, _):
             return frames[1], 0.0, False, False, {}
 
-    env, view = told["Masked"](Camera(), masked / "out"), jd.load_view(masked / "out")
+    view, wrapper = jd.load_view(masked / "out"), told_by_the_docs("gymnasium")["Masked"]
+    env = wrapper(Camera(), masked / "out")
     assert np.array_equal(env.reset()[0], view(frames[0]))
     assert np.array_equal(env.step(0)[0], view(frames[1]))
+
+
+def test_the_wrapper_for_robomimic_runs(masked, monkeypatch):
+    """Around what its EnvWrapper asks of an environment."""
+
+    class EnvWrapper:
+        def __init__(self, env):
+            self.env = env
+
+    class Camera:
+        def reset(self):
+            return {"image": floats(frames[0]), "joints": 7}
+
+        def step(self, action):
+            return {"image": floats(frames[action])}, 0.5, True, {}
+
+    wrappers = types.ModuleType("robomimic.envs.wrappers")
+    wrappers.EnvWrapper = EnvWrapper  # type: ignore
+    monkeypatch.setitem(sys.modules, "robomimic.envs.wrappers", wrappers)
+    for package in ("robomimic", "robomimic.envs"):
+        monkeypatch.setitem(sys.modules, package, types.ModuleType(package))
+    frames, view = arrays_of(masked / "demos.npz")["frames"], jd.load_view(masked / "out")
+    env = told_by_the_docs("robomimic")["MaskedEnv"](Camera(), masked / "out", "image")
+    shown = env.reset()
+    assert shown["joints"] == 7
+    assert np.array_equal(shown["image"], floats(view(frames[0])))
+    shown, *rest = env.step(3)
+    assert np.array_equal(shown["image"], floats(view(frames[3])))
+    assert rest == [0.5, True, {}]
+
+
+def test_the_step_for_lerobot_runs(masked, monkeypatch):
+    """On batches as its pipelines hand them on; of the library only the base class is made up."""
+    torch = pytest.importorskip("torch")
+    processor = types.ModuleType("lerobot.processor")
+    processor.ObservationProcessorStep = object  # type: ignore
+    monkeypatch.setitem(sys.modules, "lerobot", types.ModuleType("lerobot"))
+    monkeypatch.setitem(sys.modules, "lerobot.processor", processor)
+    frames, view = arrays_of(masked / "demos.npz")["frames"][:2], jd.load_view(masked / "out")
+    step = told_by_the_docs("lerobot")["MaskCamera"](masked / "out", "top")
+    images = torch.from_numpy(np.stack([*map(floats, frames)]))
+    for given, seen in ((images, frames), (images[0], frames[:1])):
+        shown = step.observation({"top": given})["top"]
+        assert shown.shape == given.shape
+        assert np.allclose(shown.numpy(), np.stack([*map(floats, view(seen))]))
 
 
 def test_a_damaged_view_is_named(masked, tmp_path):
