@@ -88,7 +88,10 @@ def check(demos: Dataset, exploration: np.ndarray, config: Masking, key: Array) 
     checks.integer("episodes", episodes, least=5)
     if config.horizon is not None and config.horizon > shortest:
         where = int(demos.lengths.argmin())
-        raise ValueError(f"horizon: expected at most {shortest}, the steps of episode {where}")
+        raise ValueError(
+            f"horizon: expected at most {shortest}, the steps of episode {where}; "
+            f"--drop-short {config.horizon} makes nothing of shorter ones"
+        )
     chosen, steps = varying(demos, config), min(_STEPS, shortest)
     begin = demos.begin(steps, chosen)
     states, names = np.asarray(begin.initial_states), list(begin.state_names)
@@ -222,8 +225,13 @@ def _of_states(
 
 
 def _of_actions(demos: Dataset) -> list[str]:
-    """Sentences on actions that look shifted, saturated or discrete, and on few episodes."""
+    """Sentences on actions that look shifted, saturated or discrete; on few or short episodes."""
     said, actions, episodes = [], demos.actions, len(demos.lengths)
+    if (shortest := demos.lengths.min()) < min(_STEPS, np.median(demos.lengths)):
+        said.append(
+            f"Only the first {shortest} steps are looked at, which the shortest episode has: "
+            "--drop-short N makes nothing of those shorter than N."
+        )
     if not actions[demos.first].any() and actions.any():
         said.append(
             "The first action of every episode is 0: action t may be the one that led to frame t. "

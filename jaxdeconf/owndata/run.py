@@ -63,7 +63,7 @@ def names_of(config: Masking) -> Names:
 
 def read(config: Masking, sources: tuple[Source, Source]) -> tuple[Dataset, Dataset]:
     """Both, at the size that the β-VAE learns."""
-    demos = dataset.read(Path(config.demos), sources[0], config.size)
+    demos = dataset.read(Path(config.demos), sources[0], config.size).longer(config.drop_short)
     if config.exploration is None:
         return demos, demos
     return demos, dataset.read(Path(config.exploration), sources[1], config.size, demos)
