@@ -9,6 +9,7 @@ import numpy as np
 from jaxdeconf.formats.source import Source
 from jaxdeconf.owndata.check import Check
 from jaxdeconf.owndata.config import Masking
+from jaxdeconf.owndata.cost import Cost
 from jaxdeconf.owndata.results import Found
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.results import Pictures, load
@@ -135,6 +136,14 @@ def _of_source(name: str, source: Source) -> str:
     return (
         f"{name}: {source.frames} {height} × {width}, {len(source.lengths)} episodes of {low} to "
         f"{high} steps, actions of {source.actions.shape[1]} numbers over {limit}{began}"
+    )
+
+
+def of_cost(cost: Cost) -> str:
+    """What is to come."""
+    return (
+        f"A masking takes about {cost.minutes:.0f} minutes of processor time here, and "
+        f"{cost.memory_mb / 1024:.1f} GB of memory."
     )
 
 

@@ -13,6 +13,7 @@ from jaxdeconf.formats import find
 from jaxdeconf.formats.lerobot.levels import Levels
 from jaxdeconf.formats.source import Names
 from jaxdeconf.owndata import dataset
+from jaxdeconf.owndata.write import write_dataset
 
 av = pytest.importorskip("av")
 pa = pytest.importorskip("pyarrow")
@@ -194,6 +195,13 @@ def test_it_is_written_without_loss_and_only_the_camera_differs(path, version, t
     assert made == {f.name for f in path.rglob("*") if f.is_file() and f.suffix != ".mp4"}
     assert not (new / "videos").exists()
     assert (not video) or (path / "videos").exists()
+
+
+def test_what_a_masking_writes_reads_back(path, tmp_path):
+    place, source = tmp_path / "out/dataset/reach", find(path, None, Names())
+    write_dataset(source, Names(), None, place, darker)
+    for before, after in zip(source.episodes(), find(place, None, Names()).episodes(), strict=True):
+        assert np.array_equal(after, darker(before))
 
 
 def test_what_the_metadata_say_of_the_camera_is_that_of_the_new_frames(path, version, tmp_path):

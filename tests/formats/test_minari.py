@@ -10,6 +10,7 @@ from PIL import Image
 from jaxdeconf.formats import find
 from jaxdeconf.formats.source import Names
 from jaxdeconf.owndata import dataset
+from jaxdeconf.owndata.write import write_dataset
 
 h5py = pytest.importorskip("h5py")
 pa = pytest.importorskip("pyarrow")
@@ -90,6 +91,10 @@ def path(request, tmp_path, form):
     return path
 
 
+def inverted(images):
+    return 255 - images
+
+
 def test_frames_before_an_action_and_initial_states_are_read(path):
     source = find(path, None, Names())
     assert source.lengths.tolist() == LENGTHS
@@ -107,10 +112,6 @@ def test_frames_before_an_action_and_initial_states_are_read(path):
 def test_it_is_written_without_loss_and_read_again(path, tmp_path):
     source, new = find(path, None, Names()), tmp_path / "new" / "reach-v0"
     new.parent.mkdir()
-
-    def inverted(images):
-        return 255 - images
-
     source.write(new, inverted)
     written = find(new, None, Names())
     for before, after in zip(source.episodes(), written.episodes(), strict=True):
@@ -119,6 +120,13 @@ def test_it_is_written_without_loss_and_read_again(path, tmp_path):
     assert len(kept(new)) == len(kept(path)) > 0
     for after, before in zip(kept(new), kept(path), strict=True):
         assert after == before
+
+
+def test_what_a_masking_writes_reads_back(path, tmp_path):
+    place, source = tmp_path / "out/dataset/reach", find(path, None, Names())
+    write_dataset(source, Names(), None, place, inverted)
+    for before, after in zip(source.episodes(), find(place, None, Names()).episodes(), strict=True):
+        assert np.array_equal(after, inverted(before))
 
 
 def kept(path):

@@ -14,7 +14,8 @@ import pytest
 import jaxdeconf as jd
 from jaxdeconf.commands import mask as command
 from jaxdeconf.commands import report
-from jaxdeconf.owndata import dataset, judge
+from jaxdeconf.owndata import dataset, judge, run
+from jaxdeconf.owndata.clones import Clone
 from jaxdeconf.report import owndata
 from tests.owndata.scene import CONFIG, scene
 
@@ -324,3 +325,22 @@ def test_where_nothing_is_to_be_masked_that_is_a_finding(masked, tmp_path, monke
     assert resumed(masked, tmp_path, monkeypatch, False) == 0
     assert "none masked" in capsys.readouterr().out
     assert not (tmp_path / "dataset").exists()
+
+
+def test_clones_are_compared_where_that_is_asked_for(masked, tmp_path, monkeypatch):
+    def compared(demos, out, view, *_):
+        assert out.shape == demos.frames.shape[:1]
+        assert 0.05 < out.mean() < 0.15
+        assert view.region.any()
+        return {"recorded": Clone(0.01, 0.25), "written": Clone(0.02, None)}
+
+    shutil.copytree(masked / "out/checkpoints", tmp_path / "checkpoints")
+    config = (masked / "out/config.json").read_text()
+    assert '"clone": false' in config
+    (tmp_path / "config.json").write_text(config.replace('"clone": false', '"clone": true'))
+    monkeypatch.setattr(run, "compared", compared)
+    assert command.main(["--resume", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "results.json").read_text())
+    assert found["clones"]["recorded"] == {"error": 0.01, "copycat": 0.25}
+    page = (tmp_path / "report.html").read_text()
+    assert page.index("cloned from frames") < page.index("0.250") < page.index("Before training")
