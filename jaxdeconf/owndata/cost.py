@@ -6,13 +6,16 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdeconf.formats.source import Source
+from jaxdeconf.learn import clone
+from jaxdeconf.learn.fit import FitConfig
 from jaxdeconf.owndata.config import Masking
 
-# Of four maskings that were measured (docs/own-data.md): what does not depend on the data, and what
-# a step on one image of 64 × 64 takes, in products of matrices of 1024 × 1024; and megabytes of the
-# program, and for each of frames at the size that is learnt.
-_ALWAYS, _IMAGE = 2400.0, 0.036
-_PROGRAM, _HELD = 1500.0, 1.5
+# Fitted to maskings in docs/own-data.md, whose time and memory they meet within a tenth. Time, in
+# products of matrices of 1024 × 1024: whatever the data are, and for an image of 64 × 64 that is
+# trained on. Memory: MB of the program, and copies that are held of all frames at the size that is
+# learnt, of the demonstrations where policies are cloned, and of the longest episode as recorded.
+_ALWAYS, _IMAGE = 2000.0, 0.045
+_PROGRAM, _HELD, _CLONED, _EPISODE = 1500.0, 1.6, 3.0, 3.0
 
 
 class Cost(NamedTuple):
@@ -24,15 +27,20 @@ class Cost(NamedTuple):
 
 def expected(config: Masking, demos: Source, exploration: Source) -> Cost:
     """What a masking with the default networks will take."""
-    both, pixels = (demos, exploration), config.size**2
-    counts = [int(one.lengths.sum()) for one in both]
-    training = config.disentangle
-    batch = training.batch_size
-    images = training.total_steps(max(counts[1], batch)) * batch * pixels / 64**2
-    seconds = _product() * (_ALWAYS + _IMAGE * images)
-    # An episode as it is stored is read at once, and held as it is, decoded and drawn.
-    episode = max(int(one.lengths.max()) * 3 * one.size[0] * one.size[1] for one in both)
-    return Cost(seconds / 60.0, _PROGRAM + (_HELD * 3 * pixels * sum(counts) + 3 * episode) / 2**20)
+    pixels, both = config.size**2, (demos, exploration)
+    steps = [int(one.lengths.sum()) for one in both]
+    images, held = _images(config.disentangle, steps[1]), _HELD * sum(steps)
+    if config.clone:
+        images += 2 * _images(clone.CPU, steps[0])
+        held += _CLONED * steps[0]
+    seconds = _product() * (_ALWAYS + _IMAGE * images * pixels / 64**2)
+    episode = _EPISODE * max(int(one.lengths.max()) * one.size[0] * one.size[1] for one in both)
+    return Cost(seconds / 60.0, _PROGRAM + 3 * (held * pixels + episode) / 2**20)
+
+
+def _images(config: FitConfig, samples: int) -> int:
+    """How many a training looks at."""
+    return config.total_steps(max(samples, config.batch_size)) * config.batch_size
 
 
 def _product() -> float:
