@@ -17,10 +17,11 @@ import tyro
 
 from jaxdeconf.commands.guard import cache_compilations, complain, guarded
 from jaxdeconf.commands.parse import Where, first, parse
+from jaxdeconf.formats.source import Source
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.owner import owned
-from jaxdeconf.pipeline.store import OWNER, StoreError, begun, require_free, writing
+from jaxdeconf.pipeline.store import OWNER, StoreError, begun, require_free
 
 
 @dataclass(frozen=True)
@@ -90,11 +91,19 @@ def _look(config: Masking) -> list[str]:
     from jaxdeconf.report import owndata
 
     sources = run.opened(config)
-    print(*owndata.of_sources(config, sources), sep="\n")
+    print(*_said(config, sources), sep="\n")
     demos, exploration = run.read(config, sources)
     checked = check(demos, exploration.frames, config, jax.random.key(config.seed))
     print(*owndata.of_check(checked), sep="\n")
     return [] if checked.refused is None else [checked.refused]
+
+
+def _said(config: Masking, sources: tuple[Source, Source]) -> list[str]:
+    """What was taken of each input, and what is to come."""
+    from jaxdeconf.owndata.cost import expected
+    from jaxdeconf.report import owndata
+
+    return [*owndata.of_sources(config, sources), owndata.of_cost(expected(config, *sources))]
 
 
 def _mask(
@@ -102,17 +111,14 @@ def _mask(
 ) -> list[str]:
     # Imported late: --help and a mistyped flag do not wait for the rest to load.
     from jaxdeconf.owndata import run
-    from jaxdeconf.owndata.results import Found
-    from jaxdeconf.pipeline import results
     from jaxdeconf.pipeline.progress import Reporter
     from jaxdeconf.report import owndata
 
     resume = asked.held is not None
     if not resume:
         require_free(directory)
-    print(*owndata.of_sources(config, run.opened(config)), sep="\n", file=sys.stderr)
-    found = run.mask_dataset(config, directory, Reporter(), resume, interruption)
-    with writing(directory):
-        owndata.write_report(directory, *results.load(directory, Found))
+    print(*_said(config, run.opened(config)), sep="\n", file=sys.stderr)
+    run.mask_dataset(config, directory, Reporter(), resume, interruption)
+    found = owndata.redraw(directory)
     print(owndata.summary(found, directory))
     return [] if found.refused is None else [found.refused]

@@ -1,4 +1,4 @@
-"""`jaxdeconf report DIR`: draws a finished run's, or a sweep's, figures and pages again."""
+"""`jaxdeconf report DIR`: draws a finished run's, masking's or sweep's figures and pages again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from jaxdeconf.pipeline.store import StoreError, WriteError, cause
 class Arguments:
     """What can be said on the command line."""
 
-    directory: tyro.conf.Positional[Path]  # of a run, of several seeds' runs, or of a sweep
+    directory: tyro.conf.Positional[Path]  # of a run, several seeds' runs, a masking or a sweep
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -32,14 +32,16 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _redraw(directory: Path) -> Path:
-    from jaxdeconf.report import run, sweep
+    from jaxdeconf.owndata.results import Found
+    from jaxdeconf.pipeline.results import finished
+    from jaxdeconf.report import owndata, run, sweep
     from jaxdeconf.sweep.log import Log, read_sweep
 
     if (directory / "sweep.json").exists():
         sweep.write(directory, read_sweep(directory), Log(directory).rows())
         return directory / "report.html"
     try:
-        run.redraw(directory)
+        (owndata if finished(directory, Found) else run).redraw(directory)
     except UNREADABLE as error:
         raise StoreError(f"{directory}: no finished run there ({cause(error)})") from error
     return directory / "report.html"

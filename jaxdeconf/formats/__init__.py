@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxdeconf import checks
-from jaxdeconf.formats import hdf5, minari, npz, robomimic
+from jaxdeconf.formats import hdf5, lerobot, minari, npz, robomimic
 from jaxdeconf.formats.source import Names, Source, lies_there
 
 
@@ -24,6 +24,7 @@ class Format(NamedTuple):
 FORMATS: dict[str, Format] = {
     "npz": Format("an npz file", npz.fits, npz.source),
     "robomimic": Format("a robomimic HDF5 file", hdf5.fits, robomimic.source),
+    "lerobot": Format("a LeRobot folder", lerobot.fits, lerobot.source),
     "minari": Format("a Minari folder", minari.fits, minari.source),
 }
 

@@ -1,127 +1,179 @@
-"""Minari's datasets, those in HDF5: a folder, data/metadata.json and data/main_data.hdf5.
+"""Minari's datasets, in HDF5 or Arrow: a folder, data/metadata.json and, of each episode K,
 
-    episode_K/actions                 [T, A]
-    episode_K/observations            [T + 1, H, W, 3], or a group with a camera among its arrays
-    episode_K/infos/qpos, infos/qvel  [T + 1, ·]: their first rows are what the simulator was set to
+    actions                           [T, A]
+    observations                      [T + 1, H, W, 3], or a group with a camera among its arrays
+    infos/qpos, infos/qvel            [T + 1, ·]: their first rows are what the simulator was set to
 
-There is a frame after the last action, which is written again and not learnt from. Minari stores
-frames as JPEG by default, which smears a mark; they are written without loss.
+in data/main_data.hdf5 under episode_K, or in data/K/part-0.arrow. There is a frame after the last
+action, which is written again and not learnt from. Minari stores frames as JPEG by default, which
+smears a mark; they are written without loss.
 """
 
-import io
+import contextlib
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxdeconf import checks
-from jaxdeconf.formats import hdf5, pixels
-from jaxdeconf.formats.source import Names, Redraw, Source, choose, is_camera, reading, states_of
+from jaxdeconf.formats import arrow, hdf5, pixels
+from jaxdeconf.formats.source import (
+    Names,
+    Redraw,
+    Source,
+    choose,
+    is_camera,
+    library,
+    read_json,
+    reading,
+    states_of,
+)
 
 _EXTRA, _STATES = "minari", ("infos/qpos", "infos/qvel")
-_FILE, _ABOUT = Path("data/main_data.hdf5"), Path("data/metadata.json")
+_FILE, _PART, _ABOUT = "data/main_data.hdf5", "part-0.arrow", "data/metadata.json"
+_PADDED = ("actions", "rewards", "terminations", "truncations")  # in Arrow, to as many as frames
+
+
+class _Store(NamedTuple):
+    """The episodes of an opened dataset."""
+
+    names: list[str]
+    arrays: Callable[[str], dict[str, Any]]  # of one, by path; each is read when it is sliced
 
 
 def fits(path: Path) -> bool:
-    """Whether a folder is one; Arrow's too, to say that it is not read."""
-    return (path / _ABOUT).is_file() and not (path / "meta/info.json").is_file()
+    """Whether a folder is one."""
+    return (path / _ABOUT).is_file()
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[_Store]:
+    if (path / _FILE).exists():
+        h5py = library(path, "h5py", _EXTRA)
+        with reading(path / _FILE, "an HDF5 file"), h5py.File(path / _FILE, "r") as file:
+            yield _Store(hdf5.numbered(file, "episode_"), lambda name: hdf5.arrays(file[name]))
+        return
+    about = read_json(path / _ABOUT)
+    if about.get("data_format") != "arrow":
+        raise ValueError(
+            f"{path}: expected {_FILE} or Arrow files, got data_format {about.get('data_format')}; "
+            "write the dataset again with data_format='hdf5'"
+        )
+    folders = (folder.name for folder in (path / "data").iterdir() if folder.name.isdecimal())
+    yield _Store(sorted(folders, key=int), lambda name: _columns(path, about, name))
+
+
+def _columns(path: Path, about: dict[str, Any], name: str) -> dict[str, Any]:
+    """An Arrow file's arrays, as they are in HDF5."""
+    found = {}
+    for at, array in arrow.leaves(arrow.read(path / "data" / name / _PART, _EXTRA)):
+        shown = array[:-1] if at.partition("/")[0] in _PADDED else array
+        found[at] = arrow.Column(shown, _shape(about, at))
+    return found
+
+
+def _shape(about: dict[str, Any], at: str) -> tuple[int, ...] | None:
+    """Of an observation, which Arrow keeps flat."""
+    root, *keys = at.split("/")
+    if root != "observations":
+        return None
+    space = json.loads(about["observation_space"])
+    for key in keys:
+        within = space["subspaces"]
+        space = within[key] if isinstance(within, dict) else within[int(key)]
+    return tuple(space["shape"]) if space.get("shape") else None
 
 
 def source(path: Path, names: Names) -> Source:
     """Opens one; see `formats.find`."""
-    if not (path / _FILE).exists():
-        raise ValueError(
-            f"{path}: expected {_FILE}, got none; write the dataset again with data_format='hdf5'"
-        )
-    return hdf5.look(path / _FILE, _EXTRA, lambda file: _source(path, names, file))
+    with _opened(path) as store:
+        return _source(path, names, store)
 
 
-def _source(path: Path, names: Names, file: Any) -> Source:
-    episodes = hdf5.numbered(file, "episode_")
-    if not episodes:
-        raise ValueError(f"{path}: expected episode_0, got only {', '.join(file) or 'nothing'}")
-    first, arrays = file[episodes[0]], _arrays(file[episodes[0]])
-    cameras = [key for key in arrays if key.startswith("observations") and _shows(first[key])]
+def _source(path: Path, names: Names, store: _Store) -> Source:
+    if not store.names:
+        raise ValueError(f"{path}: expected an episode in data, got none")
+    arrays = store.arrays(store.names[0])
+    cameras = [key for key in arrays if key.startswith("observations") and _shows(arrays[key])]
     camera = choose(path, "frames", names.frames, cameras, arrays)
     action = choose(path, "actions", names.actions, {"actions"} & {*arrays}, arrays)
-    lengths = np.array([len(file[name][action]) for name in episodes])
-    for name, length in zip(episodes, lengths.tolist(), strict=True):
-        if camera not in file[name]:
-            raise ValueError(f"{path}: expected {camera} in {name}, got none")
-        checks.same_length(
-            f"{path}: {camera} of {name}", len(file[name][camera]), length + 1, "frames"
-        )
-    states = states_of(names.initial_states, len(episodes))
+    states = states_of(names.initial_states, len(store.names))
     keys = _STATES if names.initial_states is None else (names.initial_states,)
-    if states is None and all(key in arrays for key in keys):
-        rows = [[np.ravel(file[name][key][0]) for key in keys] for name in episodes]
-        states = np.array([np.concatenate(row) for row in rows])
-    places = [f"{name}/{camera}" for name in episodes]
-    shown = next(_frames(path, places[:1]))
+    keys = [key for key in keys if states is None and key in arrays]
+    actions, rows = [], []
+    for name in store.names:
+        arrays = store.arrays(name)
+        for needed in (camera, action, *keys):
+            if needed not in arrays:
+                raise ValueError(f"{path}: expected {needed} in {name}, got none")
+        length, what = len(arrays[action]) + 1, f"{path}: {camera} of {name}"
+        checks.same_length(what, len(arrays[camera]), length, "frames")
+        actions.append(arrays[action][:])
+        rows.append(np.concatenate([np.ravel(arrays[key][0]) for key in keys] or [[]]))
     return Source(
-        lengths=lengths,
-        actions=np.concatenate([file[name][action][:] for name in episodes]),
+        lengths=np.array([len(some) for some in actions]),
+        actions=np.concatenate(actions),
         limit=None,
-        initial_states=states,
+        initial_states=np.array(rows) if keys else states,
         state_names=[],
         frames=camera,
-        size=shown.shape[1:3],
-        episodes=lambda: (frames[:-1] for frames in _frames(path, places)),
-        write=lambda to, redraw: _write(path, to, places, redraw),
+        size=next(_frames(path, camera)).shape[1:3],
+        episodes=lambda: (frames[:-1] for frames in _frames(path, camera)),
+        write=lambda to, redraw: _write(path, to, camera, redraw),
     )
-
-
-def _arrays(group: Any) -> list[str]:
-    """The paths of all arrays in a group."""
-    found: list[str] = []
-    group.visititems(lambda name, value: found.append(name) if hasattr(value, "shape") else None)
-    return found
 
 
 def _shows(array: Any) -> bool:
     """Whether an array is a camera's: images, or JPEG files."""
-    return array.dtype == object or is_camera(array.shape, array.dtype)
+    return _is_files(array) or is_camera(array.shape, array.dtype)
 
 
-def _frames(path: Path, places: Sequence[str]) -> Iterator[np.ndarray]:
-    """uint8 [T + 1, H, W, 3] of each array with these names."""
-    h5py = hdf5.library(path, _EXTRA)
-    with reading(path / _FILE, "an HDF5 file"), h5py.File(path / _FILE, "r") as file:
-        for place in places:
-            yield pixels.rgb(f"{path}: {place}", _decoded(file[place][:]))
+def _is_files(array: Any) -> bool:
+    return (array.dtype.metadata or {}).get("vlen") == np.uint8
 
 
-def _decoded(stored: np.ndarray) -> np.ndarray:
-    """Images [T, H, W, 3] as they are, or of [T] JPEG files."""
-    if stored.dtype != object:
-        return stored
-    from PIL import Image  # late, as in `owndata.dataset`
-
-    return np.stack([np.asarray(Image.open(io.BytesIO(one.tobytes()))) for one in stored])
+def _stored(name: str, array: Any) -> np.ndarray:
+    """Images [T + 1, H, W, C] as they are, or of files."""
+    return pixels.decoded(name, map(bytes, array[:])) if _is_files(array) else array[:]
 
 
-def _write(path: Path, to: Path, places: Sequence[str], redraw: Redraw) -> None:
+def _frames(path: Path, camera: str) -> Iterator[np.ndarray]:
+    """uint8 [T + 1, H, W, 3] of each episode."""
+    with _opened(path) as store:
+        for name in store.names:
+            where = f"{path}: {camera} of {name}"
+            yield pixels.rgb(where, _stored(where, store.arrays(name)[camera]))
+
+
+def _write(path: Path, to: Path, camera: str, redraw: Redraw) -> None:
     """Copies the folder, with the camera's frames redrawn and none as JPEG."""
-    h5py = hdf5.library(path, _EXTRA)
-    shutil.copytree(path, to)
-    about = json.loads((to / _ABOUT).read_text(encoding="utf-8"))
+    shutil.copytree(path, to, copy_function=shutil.copyfile)
+    about = read_json(path / _ABOUT)
     if about.get("jpeg_encoding"):
         text = json.dumps({**about, "jpeg_encoding": False})
         (to / _ABOUT).write_text(text, encoding="utf-8")
-    with h5py.File(path / _FILE, "r") as old, h5py.File(to / _FILE, "w") as new:
-        new.attrs.update(old.attrs)
-        for name in old:
-            old.copy(name, new)
-        for name in (f"{episode}/{key}" for episode in new for key in _arrays(new[episode])):
-            stored = new[name][:]
-            if name not in places and stored.dtype != object:
-                continue
-            frames = _decoded(stored)
-            if name in places:  # the last frame by itself: no action follows it
-                parts = frames[:-1], frames[-1:]
-                frames = np.concatenate([pixels.redrawn(name, part, redraw) for part in parts])
-            del new[name]
-            new.create_dataset(name, data=frames, compression="gzip", compression_opts=1)
+    with _opened(path) as store:
+        changed = ((name, _changed(store.arrays(name), camera, redraw)) for name in store.names)
+        if (path / _FILE).exists():
+            hdf5.replace(to / _FILE, _EXTRA, changed)
+            return
+        for name, new in changed:
+            part = Path("data") / name / _PART
+            arrow.write(to / part, arrow.read(path / part, _EXTRA), new)
+
+
+def _changed(arrays: dict[str, Any], camera: str, redraw: Redraw) -> dict[str, np.ndarray]:
+    """The arrays that are to be written anew, by path."""
+    found = {}
+    for name, array in arrays.items():
+        if name != camera and not _is_files(array):
+            continue
+        frames = _stored(name, array)
+        if name == camera:  # the last frame by itself: no action follows it
+            parts = frames[:-1], frames[-1:]
+            frames = np.concatenate([pixels.redrawn(name, part, redraw) for part in parts])
+        found[name] = frames
+    return found

@@ -3,6 +3,9 @@
 Met are channels first or last, one, three or four of them, uint8, floats in [0, 1] or in [0, 255].
 """
 
+import io
+from collections.abc import Iterable
+
 import numpy as np
 
 from jaxdeconf.formats.source import Redraw
@@ -41,6 +44,29 @@ def redrawn(name: str, stored: np.ndarray, redraw: Redraw) -> np.ndarray:
     depth = min(colours, 3)
     new[..., :depth] = np.where(changed, drawn, last[..., :depth]).astype(stored.dtype)
     return new if last.shape == stored.shape else np.moveaxis(new, -1, 1)
+
+
+def decoded(name: str, files: Iterable[bytes]) -> np.ndarray:
+    """uint8 [T, H, W, C] of image files, PNG or JPEG.
+
+    Raises:
+      ValueError: if their sizes differ; OSError, if one is none.
+    """
+    from PIL import Image  # late, as in `owndata.dataset`
+
+    images = [np.atleast_3d(np.asarray(Image.open(io.BytesIO(file)))) for file in files]
+    if len(sizes := {image.shape for image in images}) > 1:
+        raise ValueError(f"{name}: expected images of one size, got {sorted(sizes)}")
+    return np.stack(images)
+
+
+def png(image: np.ndarray) -> bytes:
+    """An image [H, W, C] as a PNG file, which loses nothing."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(image.squeeze(-1) if image.shape[-1] == 1 else image).save(file, "PNG")
+    return file.getvalue()
 
 
 def _channels_last(stored: np.ndarray) -> np.ndarray | None:

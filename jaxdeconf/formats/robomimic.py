@@ -79,12 +79,8 @@ def _states(data: Any, demos: list[str], key: str | None) -> tuple[np.ndarray | 
 
 def _flat(group: Any) -> dict[str, float]:
     """The numbers of a tree of arrays, by path and place."""
-    found: dict[str, float] = {}
-
-    def add(path: str, value: Any) -> None:
-        if hasattr(value, "shape"):
-            flat = np.ravel(value)
-            found.update({f"{path}.{i}": number for i, number in enumerate(flat.tolist())})
-
-    group.visititems(add)
-    return found
+    return {
+        f"{path}.{place}": number
+        for path, array in hdf5.arrays(group).items()
+        for place, number in enumerate(np.ravel(array).tolist())
+    }

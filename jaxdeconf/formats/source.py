@@ -4,6 +4,8 @@ Shapes: N episodes, n steps of all, T steps of one, H × W pixels, A action, S s
 """
 
 import contextlib
+import importlib
+import json
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -48,6 +50,7 @@ class Source(NamedTuple):
     size: tuple[int, int]  # (H, W)
     episodes: Callable[[], Iterator[np.ndarray]]  # uint8 [T, H, W, 3], one after another
     write: Callable[[Path, Redraw], None]  # the same dataset at a new path, its frames redrawn
+    notes: tuple[str, ...] = ()  # sentences on what was taken, where that is not obvious
 
 
 def choose(path: Path, what: str, asked: str | None, found: Iterable[str], there: Iterable[str]):
@@ -78,17 +81,46 @@ def _few(names: list[str]) -> str:
     return (", ".join(names[:12]) + more) or "nothing"
 
 
+def library(path: Path, module: str, extra: str) -> Any:
+    """A module that reads a format, imported late.
+
+    Raises:
+      ValueError: if it is not installed; says how to.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        name = module.partition(".")[0]
+        raise ValueError(
+            f"{path}: expected {name} to read it, got none; pip install 'jaxdeconf[{extra}]'"
+        ) from None
+
+
 @contextlib.contextmanager
-def reading(path: Path, kind: str) -> Iterator[None]:
-    """Says in one line what is wrong with a file that cannot be read as what it should be."""
+def reading(path: Path, kind: str, *damage: type[Exception]) -> Iterator[None]:
+    """Says in one line what is wrong with a file that cannot be read as what it should be.
+
+    Args:
+      path: of the file.
+      kind: what it should be.
+      damage: what else its reader raises for a damaged one.
+    """
     try:
         yield
-    except _DAMAGE as error:
+    except (*_DAMAGE, *damage) as error:
         raise ValueError(f"{path}: expected {kind}, got {lies_there(path)}") from error
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds."""
+    with reading(path, "a JSON file", json.JSONDecodeError):
+        return json.loads(path.read_text(encoding="utf-8"))
 
 
 def lies_there(path: Path) -> str:
     """What a file that cannot be read seems to be."""
+    if not path.exists():
+        return "no file of that name"
     if path.is_dir():
         return f"a folder of {_few(sorted(entry.name for entry in path.iterdir()))}"
     with path.open("rb") as file:

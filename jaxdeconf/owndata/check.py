@@ -88,7 +88,10 @@ def check(demos: Dataset, exploration: np.ndarray, config: Masking, key: Array) 
     checks.integer("episodes", episodes, least=5)
     if config.horizon is not None and config.horizon > shortest:
         where = int(demos.lengths.argmin())
-        raise ValueError(f"horizon: expected at most {shortest}, the steps of episode {where}")
+        raise ValueError(
+            f"horizon: expected at most {shortest}, the steps of episode {where}; "
+            f"--drop-short {config.horizon} makes nothing of shorter ones"
+        )
     chosen, steps = varying(demos, config), min(_STEPS, shortest)
     begin = demos.begin(steps, chosen)
     states, names = np.asarray(begin.initial_states), list(begin.state_names)
@@ -96,7 +99,10 @@ def check(demos: Dataset, exploration: np.ndarray, config: Masking, key: Array) 
     latents = config.disentangle.network.latents
     tests = len(names) * (latents + actions.shape[1])
     gamma = float(effective_threshold(config.threshold, config.alpha, episodes, tests))
-    d = np.asarray(hoeffding_d(states, actions)).reshape(len(names), steps, -1)
+    order = np.arange(episodes)[:, None]
+    every = hoeffding_d(states, np.concatenate([actions, states, order], axis=1))  # compiled once
+    acted, mutual = np.split(np.asarray(every), [actions.shape[1]], axis=1)
+    d = acted.reshape(len(names), steps, -1)
     moves = d.max(axis=(1, 2)) > gamma
     known = linear_spread(demos, exploration, config, key)
     together = _together(states, actions, moves, key) if episodes >= _FEW else None
@@ -110,7 +116,7 @@ def check(demos: Dataset, exploration: np.ndarray, config: Masking, key: Array) 
         horizon=config.horizon or _horizon(d, gamma),
         visible=visible(episodes),
         spread=known,
-        notes=[*_of_states(states, names, moves, constant), *_of_actions(demos)],
+        notes=[*_of_states(mutual, episodes, names, moves, constant), *_of_actions(demos)],
         refused=_refused(names, moves, together, known, config),
     )
 
@@ -152,7 +158,7 @@ def linear_spread(
     count = min(network.latents, len(frames))
     among = min(config.disentangle.start_components or count, len(frames))
     found = linear_start(frames, count, named(key, "linear start"), among)
-    return spread(*((x - found.mean) @ found.encoder for x in (flat(demos.starts), frames)))
+    return spread(flat(demos.starts) @ found.encoder, frames @ found.encoder)
 
 
 def unvaried_words(latents: list[str]) -> str:
@@ -194,14 +200,11 @@ def _refused(
 
 
 def _of_states(
-    states: np.ndarray, names: list[str], moves: np.ndarray, constant: list[str]
+    d: np.ndarray, episodes: int, names: list[str], moves: np.ndarray, constant: list[str]
 ) -> list[str]:
-    """Sentences on columns that are constant, depend on one another, or drift."""
+    """Sentences on columns that are constant, and by D [S, S + 1] dependent or drifting."""
     count, said = len(names), []
-    order = np.arange(len(states))[:, None]
-    d = np.asarray(hoeffding_d(states, np.concatenate([states, order], axis=1)))
-    pairs = count * (count + 1) // 2
-    gamma = float(effective_threshold(0.0, 0.05, len(states), pairs))
+    gamma = float(effective_threshold(0.0, 0.05, episodes, count * (count + 1) // 2))
     if constant:
         said.append(
             f"Left out, since they never vary or were not asked for: {', '.join(constant)}."
@@ -222,8 +225,13 @@ def _of_states(
 
 
 def _of_actions(demos: Dataset) -> list[str]:
-    """Sentences on actions that look shifted, saturated or discrete, and on few episodes."""
+    """Sentences on actions that look shifted, saturated or discrete; on few or short episodes."""
     said, actions, episodes = [], demos.actions, len(demos.lengths)
+    if (shortest := demos.lengths.min()) < min(_STEPS, np.median(demos.lengths)):
+        said.append(
+            f"Only the first {shortest} steps are looked at, which the shortest episode has: "
+            "--drop-short N makes nothing of those shorter than N."
+        )
     if not actions[demos.first].any() and actions.any():
         said.append(
             "The first action of every episode is 0: action t may be the one that led to frame t. "

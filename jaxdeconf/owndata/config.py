@@ -20,6 +20,7 @@ class Masking:
     actions: str | None = None  # their key
     initial_states: str | None = None  # a key, or FILE.npy of [N, S]: what episodes were set to
     states: tuple[str, ...] = ()  # columns of them, by name; none: all
+    drop_short: int = 1  # steps; shorter demonstrations are written, but nothing is made of them
     size: int = 64  # pixels a side at which the β-VAE learns
     horizon: int | None = None  # H; None: the least in which all states that move an action show
     threshold: float = MaskConfig.threshold  # gamma
@@ -28,12 +29,14 @@ class Masking:
     # only if it tells the previous action: with few episodes it masks causes, too.
     min_power: float = 0.3
     unvaried: Literal["refuse", "mask", "keep"] = "refuse"  # latents that first frames do not vary
+    clone: bool = False  # compare policies cloned from frames as recorded and as written
     seed: int = 0
     disentangle: DisentangleConfig = field(default_factory=lambda: vae.CPU)
 
     def __post_init__(self):
         checks.integer("seed", self.seed, least=0, most=2**32 - 1)
         checks.integer("size", self.size)
+        checks.integer("drop_short", self.drop_short)
         vae.check_size(self.disentangle, (self.size, self.size))
         if self.horizon is not None:
             checks.integer("horizon", self.horizon)

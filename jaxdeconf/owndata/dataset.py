@@ -33,6 +33,24 @@ class Dataset(NamedTuple):
         """uint8 [N, Z, Z, 3], the first frames."""
         return self.frames[self.first]
 
+    def longer(self, least: int) -> "Dataset":
+        """Without the episodes of fewer steps.
+
+        Raises:
+          ValueError: if none is left.
+        """
+        kept = self.lengths >= least
+        if not kept.any():
+            longest = int(self.lengths.max())
+            raise ValueError(
+                f"drop_short: expected at most {longest}, no episode has {least} steps"
+            )
+        if kept.all():
+            return self
+        rows, states = np.repeat(kept, self.lengths), self.initial_states[kept]
+        parts = self.frames[rows], self.actions[rows], self.lengths[kept], states
+        return Dataset(*parts, self.state_names)
+
     def begin(self, horizon: int, states: np.ndarray) -> Demos:
         """The first steps of each episode, with the states [S] that are chosen."""
         steps = self.first[:, None] + np.arange(horizon)

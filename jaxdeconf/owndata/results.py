@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxdeconf.owndata.check import Check
+from jaxdeconf.owndata.clones import Clone
 from jaxdeconf.owndata.judge import Leakage
 
 
@@ -41,6 +42,7 @@ class Found(NamedTuple):
     written: Written | None = None
     leakage: Leakage | None = None
     retention: dict[str, list[float]] = {}  # noqa: RUF012  of states that move actions: [raw, written]
+    clones: dict[str, Clone] = {}  # noqa: RUF012  from frames "recorded" and "written", if asked for
     seconds: dict[str, float] = {}  # noqa: RUF012  by stage
     peak_memory_mb: float = float("nan")
     versions: dict[str, str] = {}  # noqa: RUF012

@@ -8,15 +8,18 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxdeconf.deconfound import first_latents, learn_latents, mask_latents
 from jaxdeconf.formats import find
 from jaxdeconf.formats.source import Names, Source
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.learn.fit import FitState, Training
 from jaxdeconf.mask import MaskConfig
 from jaxdeconf.owndata import dataset, judge
 from jaxdeconf.owndata.check import UNVARIED, Check, check, spread, unvaried_words
+from jaxdeconf.owndata.clones import Clone, compared
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.owndata.dataset import Dataset
 from jaxdeconf.owndata.results import Found, Written
@@ -60,7 +63,7 @@ def names_of(config: Masking) -> Names:
 
 def read(config: Masking, sources: tuple[Source, Source]) -> tuple[Dataset, Dataset]:
     """Both, at the size that the β-VAE learns."""
-    demos = dataset.read(Path(config.demos), sources[0], config.size)
+    demos = dataset.read(Path(config.demos), sources[0], config.size).longer(config.drop_short)
     if config.exploration is None:
         return demos, demos
     return demos, dataset.read(Path(config.exploration), sources[1], config.size, demos)
@@ -144,6 +147,8 @@ def _masked(
         place = directory / "dataset" / Path(config.demos).name
         write_dataset(source, names_of(config), config.format, place, view)
         save_view(directory / "view", view)
+    if config.clone:
+        found = found._replace(clones=_clones(this, demos, view))
     mode = "reconstruct" if view.region.all() else "inpaint"
     written = Written(mode, int(view.region.sum()), list(source.size))
     return found._replace(written=written), _pictures(demos, view)
@@ -202,6 +207,15 @@ def _compared(
         leakage=judge.leakage(judge.past(exploration), view, whole, this.key),
         retention={name: kept[name] for name in np.array(checked.state_names)[moves].tolist()},
     )
+
+
+def _clones(this: Run, demos: Dataset, view: View) -> dict[str, Clone]:
+    """Policies cloned from frames as recorded and as written."""
+
+    def watch(name: str, training: Training, frames: Array) -> FitState:
+        return this.watch(name, training, data=frames)
+
+    return compared(demos, held_out(demos), view, this.key, watch)
 
 
 def _begin(demos: Dataset, checked: Check):

@@ -2,34 +2,42 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxdeconf.formats.source import Source
 from jaxdeconf.owndata.check import Check
 from jaxdeconf.owndata.config import Masking
+from jaxdeconf.owndata.cost import Cost
 from jaxdeconf.owndata.results import Found
 from jaxdeconf.pipeline.plain import to_plain
-from jaxdeconf.pipeline.results import Pictures
+from jaxdeconf.pipeline.results import Pictures, load
+from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
-from jaxdeconf.report.words import fixed, percent, subscript
+from jaxdeconf.report.words import fixed, number, percent, subscript
 
 _LEAKS, _LOST = 0.05, 0.95  # R² that written frames may tell; share of a state's that they must
+_TOLD = (
+    0.5  # R² from which on recorded frames tell a state; below, it is the regression that varies
+)
 
 
 def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
     """Writes `figures/` and `report.html` of a masking."""
     canvas.import_matplotlib()
-    from jaxdeconf.report.figures import dependence, frames, region
+    from jaxdeconf.report.figures import dependence, region
 
-    figures = (frames, region) if not len(found.mask) else (frames, region, dependence)
-    drawn = canvas.write(directory / "figures", figures, found, pictures)
+    figures = (frames, region, dependence) if len(found.mask) else (frames, region)
+    alone = found._replace(mask=found.asked)  # what the figure calls Algorithm 1's
+    drawn = canvas.write(directory / "figures", figures, alone, pictures)
     body = [
         page.paragraph(verdict(found)),
         page.heading("Figures"),
         *page.images(drawn),
         page.heading("What was kept and what is gone"),
         *_comparison(found),
+        *_clones(found),
         page.heading("Before training"),
         page.paragraph(of_check(found.check)),
         _moves(found),
@@ -39,6 +47,28 @@ def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
         *_about(found),
     ]
     page.write(directory / "report.html", f"{found.config['demos']}, masked", body)
+
+
+def redraw(directory: Path) -> Found:
+    """Writes the report of a finished masking, again if there is one; returns what it found.
+
+    Raises:
+      OSError, ValueError, KeyError, TypeError: if there is none, or it cannot be read.
+      WriteError: if the disk does not take what is drawn.
+    """
+    found, pictures = load(directory, Found)
+    with writing(directory):
+        write_report(directory, found, pictures)
+    return found
+
+
+def frames(found: Found, pictures: Pictures) -> Any:
+    """The same moments of one demonstration, in order: as they were recorded, and as they are
+    written.
+    """
+    from jaxdeconf.report import figures  # late: it loads matplotlib
+
+    return figures.frames(found, pictures)  # type: ignore
 
 
 def verdict(found: Found) -> list[str]:
@@ -68,14 +98,16 @@ def verdict(found: Found) -> list[str]:
         + ("nothing of it" if written <= _LEAKS else "still some of it")
         + f" (R² {fixed(written, 2)})."
     )
-    lost = [name for name, (a, b) in found.retention.items() if b < _LOST * a and a > 0.1]
-    said.append(
-        f"Written frames tell less of {', '.join(lost)}, which moves the expert: too much may be "
-        "masked."
-        if lost
-        else "Of the states that move the expert, those that recorded frames tell can be told from "
-        "written ones as well."
-    )
+    told = {name: pair for name, pair in found.retention.items() if pair[0] > _TOLD}
+    lost = [name for name, (a, b) in told.items() if b < _LOST * a]
+    if lost:
+        names = ", ".join(lost)
+        said.append(f"Written frames tell less of {names}: too much may be masked.")
+    elif told:
+        names = ", ".join(told)
+        said.append(f"Of what moves the expert, written frames tell as much as recorded: {names}.")
+    else:
+        said.append("Of the states that move the expert, recorded frames tell a regression none.")
     pixels, size = found.written.region_pixels, found.config["size"]
     where = f"{percent(pixels / size**2)} of the pixels were redrawn"
     whole = "the masked latents' reach is not local: every frame was reconstructed as a whole"
@@ -84,23 +116,34 @@ def verdict(found: Found) -> list[str]:
 
 
 def of_sources(config: Masking, sources: Sequence[Source]) -> list[str]:
-    """What was taken of each input, a line an input."""
-    names = ("demonstrations", "exploration")
-    if config.exploration is None:
-        alone = "exploration: none, so the β-VAE learns from the demonstrations; frames under "
-        names, last = names[:1], [alone + "random actions part the nuisance from the pose better"]
-    else:
-        last = []
-    return [_of_source(name, one) for name, one in zip(names, sources, strict=False)] + last
+    """What was taken of each input, a line an input, and what is to be said of it."""
+    said = [_of_source("demonstrations", sources[0]), *sources[0].notes]
+    if config.exploration is not None:
+        return [*said, _of_source("exploration", sources[1])]
+    none = (
+        "exploration: none, so the β-VAE learns from the demonstrations; frames under random "
+        "actions part the nuisance from the pose better"
+    )
+    return [*said, none]
 
 
 def _of_source(name: str, source: Source) -> str:
     height, width = source.size
     low, high = source.lengths.min(), source.lengths.max()
     limit = "their limits" if source.limit is not None else "the largest of each"
+    states = source.initial_states
+    began = "" if states is None else f", initial states of {states.shape[1]} numbers"
     return (
         f"{name}: {source.frames} {height} × {width}, {len(source.lengths)} episodes of {low} to "
-        f"{high} steps, actions of {source.actions.shape[1]} numbers over {limit}"
+        f"{high} steps, actions of {source.actions.shape[1]} numbers over {limit}{began}"
+    )
+
+
+def of_cost(cost: Cost) -> str:
+    """What is to come."""
+    return (
+        f"A masking takes about {cost.minutes:.0f} minutes of processor time here, and "
+        f"{cost.memory_mb / 1024:.1f} GB of memory."
     )
 
 
@@ -132,6 +175,21 @@ def _comparison(found: Found) -> Iterator[str]:
         "be gone, and of each initial state that moves an action, which is to be kept."
     )
     yield page.table(["", "recorded", "reconstructed", "written"], rows, note)
+
+
+def _clones(found: Found) -> Iterator[str]:
+    if not found.clones:
+        return
+    rows = [
+        [f"as {name}", number(one.error), number(one.copycat)] for name, one in found.clones.items()
+    ]
+    note = (
+        "Policies cloned from frames as recorded and as written, on a tenth of the episodes, which "
+        "they have not seen. Error: mean squared, of the action over its limit. Copycat: mean "
+        "change of the action over its limit, 0 to 2, when of a frame only the redrawn pixels are "
+        "taken from another one."
+    )
+    yield page.table(["cloned from frames", "error", "copycat"], rows, note)
 
 
 def _moves(found: Found) -> str:

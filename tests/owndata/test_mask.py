@@ -1,101 +1,29 @@
 """`jaxdeconf mask` on a made-up scene: two blobs that matter, and a corner that shows the past."""
 
 import json
+import shutil
+import sys
+import types
 import zipfile
 from dataclasses import replace
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
 import jaxdeconf as jd
 from jaxdeconf.commands import mask as command
-from jaxdeconf.formats import find
-from jaxdeconf.formats.source import Names
-from jaxdeconf.learn.disentangle import DisentangleConfig
-from jaxdeconf.nets.vae import VAEConfig
-from jaxdeconf.owndata import dataset, judge
-from jaxdeconf.owndata.check import check, visible
-from jaxdeconf.owndata.config import Masking
+from jaxdeconf.commands import report
+from jaxdeconf.owndata import dataset, judge, run
+from jaxdeconf.owndata.clones import Clone
 from jaxdeconf.report import owndata
+from tests.owndata.scene import CONFIG, scene
 
-KEY = jax.random.key(0)
-CONFIG = Masking(
-    demos="scene",
-    size=32,
-    disentangle=DisentangleConfig(
-        steps=64,
-        objective="H",
-        beta=2.0,
-        network=VAEConfig(channels=(4, 4), latents=3, linear_path=True, norm="none"),
-    ),
-)
 SMALL = (
     *("--size", "32", "--disentangle.steps", "64", "--disentangle.chunk", "32"),
     *("--disentangle.network.channels", "4", "4", "--disentangle.network.norm", "none"),
     *("--disentangle.network.latents", "3", "--disentangle.start-components", "3"),
 )
-
-
-def drawn(states, mark, random):
-    """uint8 [n, 32, 32, 3]: two blobs as bright as states [n, 2], a corner for mark [n]; noise."""
-    image = np.full((len(states), 32, 32, 3), 128.0)
-    image[:, 4:12, 14:24] += 90 * states[:, 0, None, None, None]
-    image[:, 18:26, 4:16] += 90 * states[:, 1, None, None, None]
-    image[:, 22:30, 22:30] += 110 * mark[:, None, None, None]
-    return np.round(image + random.normal(0, 4, image.shape)).clip(0, 255).astype(np.uint8)
-
-
-def scene(episodes, steps, expert, seed, mark=None):
-    """The arrays of a dataset; each episode's length differs by one from the next one's.
-
-    Args:
-      episodes, steps: how many, and of the longest.
-      expert: whether actions follow from the states; else they are random.
-      seed: of all of it.
-      mark: what first frames show in the corner; None: anything.
-    """
-    random = np.random.default_rng(seed)
-    initial = random.uniform(-1, 1, (episodes, 2))
-    frames, actions, lengths = [], [], []
-    for episode, state in enumerate(initial):
-        length = steps - episode % 2
-        states = state * np.linspace(1.0, 0.6, length)[:, None]
-        if expert:
-            acts = 0.5 * (states[:, 0] - states[:, 1]) + random.normal(0, 0.05, length)
-        else:
-            states = random.uniform(-1, 1, (length, 2))
-            acts = random.uniform(-1, 1, length)
-        first = random.uniform(-1, 1) if mark is None else mark
-        frames.append(drawn(states, np.clip([first, *acts[:-1]], -1, 1), random))
-        actions.append(np.clip(acts, -1, 1))
-        lengths.append(length)
-    return {
-        "frames": np.concatenate(frames),
-        "actions": 7 * np.concatenate(actions).astype(np.float32)[:, None],
-        "episode_lengths": np.array(lengths),
-        "initial_states": initial.astype(np.float32),
-        "state_names": np.array(["left", "right"]),
-        "action_limit": np.array([7.0], np.float32),
-        "note": np.array("kept as it is"),
-    }
-
-
-def opened(arrays, path):
-    """A dataset of arrays at a path, read."""
-    np.savez_compressed(path, **arrays)
-    return dataset.read(path, find(path, None, Names()), 32)
-
-
-@pytest.fixture(scope="module")
-def demos(tmp_path_factory):
-    return opened(scene(400, 4, True, 0), tmp_path_factory.mktemp("data") / "demos.npz")
-
-
-@pytest.fixture(scope="module")
-def random_frames():
-    return scene(150, 6, False, 1)["frames"]
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +87,17 @@ def test_the_results_say_what_was_found(masked):
     assert page.index("masked.") < page.index("<h2>Figures")  # the verdict comes first
 
 
+def test_its_report_is_drawn_again_from_its_directory(masked, capsys):
+    page, strip = masked / "out/report.html", masked / "out/figures/frames.png"
+    before = page.read_bytes(), strip.read_bytes()
+    page.unlink()
+    strip.unlink()
+    assert report.main([str(masked / "out")]) == 0
+    assert capsys.readouterr().out == f"report: {page}\n"
+    assert (page.read_bytes(), strip.read_bytes()) == before
+    assert b"polic" not in before[0].partition(b"<h2>Figures")[2].partition(b"<h2>What was")[0]
+
+
 def test_the_view_makes_of_a_frame_what_was_written(masked):
     view = jd.load_view(masked / "out")
     old, new = (arrays_of(masked / where) for where in ("demos.npz", "out/dataset/demos.npz"))
@@ -181,14 +120,25 @@ def test_the_view_takes_frames_of_another_size(masked):
     assert np.array_equal(dataset.fitted(seen[None], 32)[0][~view.region], frame[~view.region])
 
 
-def test_the_wrapper_of_the_docs_runs(masked):
-    """The page's own lines, around an environment that shows frames of the dataset."""
-    gymnasium = pytest.importorskip("gymnasium")
-    frames = arrays_of(masked / "demos.npz")["frames"]
+def told_by_the_docs(library):
+    """What the page's own lines define, of the block that imports from a library."""
     page = Path(__file__).parents[2].joinpath("docs/own-data.md").read_text(encoding="utf-8")
-    (block,) = [part for part in page.split("```") if part.startswith("python\nimport gymnasium")]
+    blocks = [part for part in page.split("```") if part.startswith("python\nimport")]
+    (block,) = [part for part in blocks if library in part]
     told = {}
     exec(block.removeprefix("python"), told)
+    return told
+
+
+def floats(frame):
+    """A frame as robomimic and LeRobot show it."""
+    return np.moveaxis(frame, -1, 0).astype(np.float32) / 255
+
+
+def test_the_wrapper_of_the_docs_runs(masked):
+    """Around an environment that shows frames of the dataset."""
+    gymnasium = pytest.importorskip("gymnasium")
+    frames = arrays_of(masked / "demos.npz")["frames"]
 
     class Camera(gymnasium.Env):
         observation_space = gymnasium.spaces.Box(0, 255, frames.shape[1:], np.uint8)
@@ -200,9 +150,55 @@ def test_the_wrapper_of_the_docs_runs(masked):
         def step(self, _):
             return frames[1], 0.0, False, False, {}
 
-    env, view = told["Masked"](Camera(), masked / "out"), jd.load_view(masked / "out")
+    view, wrapper = jd.load_view(masked / "out"), told_by_the_docs("gymnasium")["Masked"]
+    env = wrapper(Camera(), masked / "out")
     assert np.array_equal(env.reset()[0], view(frames[0]))
     assert np.array_equal(env.step(0)[0], view(frames[1]))
+
+
+def test_the_wrapper_for_robomimic_runs(masked, monkeypatch):
+    """Around what its EnvWrapper asks of an environment."""
+
+    class EnvWrapper:
+        def __init__(self, env):
+            self.env = env
+
+    class Camera:
+        def reset(self):
+            return {"image": floats(frames[0]), "joints": 7}
+
+        def step(self, action):
+            return {"image": floats(frames[action])}, 0.5, True, {}
+
+    wrappers = types.ModuleType("robomimic.envs.wrappers")
+    wrappers.EnvWrapper = EnvWrapper  # type: ignore
+    monkeypatch.setitem(sys.modules, "robomimic.envs.wrappers", wrappers)
+    for package in ("robomimic", "robomimic.envs"):
+        monkeypatch.setitem(sys.modules, package, types.ModuleType(package))
+    frames, view = arrays_of(masked / "demos.npz")["frames"], jd.load_view(masked / "out")
+    env = told_by_the_docs("robomimic")["MaskedEnv"](Camera(), masked / "out", "image")
+    shown = env.reset()
+    assert shown["joints"] == 7
+    assert np.array_equal(shown["image"], floats(view(frames[0])))
+    shown, *rest = env.step(3)
+    assert np.array_equal(shown["image"], floats(view(frames[3])))
+    assert rest == [0.5, True, {}]
+
+
+def test_the_step_for_lerobot_runs(masked, monkeypatch):
+    """On batches as its pipelines hand them on; of the library only the base class is made up."""
+    torch = pytest.importorskip("torch")
+    processor = types.ModuleType("lerobot.processor")
+    processor.ObservationProcessorStep = object  # type: ignore
+    monkeypatch.setitem(sys.modules, "lerobot", types.ModuleType("lerobot"))
+    monkeypatch.setitem(sys.modules, "lerobot.processor", processor)
+    frames, view = arrays_of(masked / "demos.npz")["frames"][:2], jd.load_view(masked / "out")
+    step = told_by_the_docs("lerobot")["MaskCamera"](masked / "out", "top")
+    images = torch.from_numpy(np.stack([*map(floats, frames)]))
+    for given, seen in ((images, frames), (images[0], frames[:1])):
+        shown = step.observation({"top": given})["top"]
+        assert shown.shape == given.shape
+        assert np.allclose(shown.numpy(), np.stack([*map(floats, view(seen))]))
 
 
 def test_a_damaged_view_is_named(masked, tmp_path):
@@ -253,7 +249,11 @@ def test_the_output_is_not_overwritten_and_not_resumed_otherwise(masked, capsys)
         ([], "DEMOS: expected the demonstrations, a file or a folder, got none"),
         (["nowhere.npz"], "nowhere.npz: expected a dataset, got no file or folder"),
         (["demos.npz", "--states", "middle"], "states: expected one of left, right, got 'middle'"),
-        (["demos.npz", "--horizon", "4"], "horizon: expected at most 3, the steps of episode 1"),
+        (
+            ["demos.npz", "--horizon", "4"],
+            "horizon: expected at most 3, the steps of episode 1; --drop-short 4",
+        ),
+        (["demos.npz", "--drop-short", "9"], "drop_short: expected at most 4, no episode has 9"),
         (["demos.npz", "--size", "33"], "size: expected multiples of 32"),
         (["demos.npz", "--exploration", "wide.npz"], "wide.npz: expected frames of 32 × 32, got"),
         (["few.npz"], "episodes: expected an integer >= 5, got 4"),
@@ -283,69 +283,6 @@ def test_check_says_what_moves_the_actions_and_writes_nothing(masked, capsys):
     assert {path for path in masked.rglob("*") if "cache" not in path.parts} <= before
 
 
-def test_a_mark_that_first_frames_do_not_vary_is_refused(demos, random_frames, tmp_path):
-    """The silent failure: no test on first frames can find it."""
-    still = opened(scene(400, 4, True, 0, mark=0.0), tmp_path / "still.npz")
-    words = "first frames do not vary what component . shows"
-    refused = check(still, random_frames, CONFIG, KEY)
-    assert refused.refused is not None
-    assert words.replace(".", refused.refused.split("component ")[1][0]) in refused.refused
-    assert check(still, random_frames, replace(CONFIG, unvaried="keep"), KEY).refused is None
-    assert check(demos, random_frames, CONFIG, KEY).refused is None
-
-
-def test_causes_that_no_single_state_shows_are_refused(demos, random_frames):
-    """An action that is the product of two states: each alone is independent of it."""
-    states = np.sign(demos.initial_states[:, :1] * demos.initial_states[:, 1:])
-    states = states + np.random.default_rng(2).normal(0, 0.1, states.shape)
-    product = np.repeat(states, demos.lengths, axis=0).astype(np.float32)
-    found = check(demos._replace(actions=product / 2), random_frames, CONFIG, KEY)
-    assert found.refused is not None
-    assert "left, right move the actions only together" in found.refused
-
-
-def test_states_that_move_nothing_are_refused(demos, random_frames):
-    noise = np.random.default_rng(3).normal(size=demos.actions.shape).astype(np.float32)
-    found = check(demos._replace(actions=noise), random_frames, CONFIG, KEY)
-    assert found.refused is not None
-    assert "no initial state moves an action" in found.refused
-
-
-def test_what_looks_wrong_is_said(demos, random_frames):
-    """Constant, dependent and drifting states; actions that are shifted, at their limit, few."""
-    states, count = demos.initial_states, len(demos.lengths)
-    drift = np.arange(count)[:, None] + 0.0 * states[:, :1]
-    wrong = np.concatenate([states, states[:, :1] ** 3, drift, 0 * drift], axis=1)
-    actions = np.sign(demos.actions)
-    actions[demos.first] = 0.0
-    names = ["left", "right", "cubed", "drift", "still"]
-    odd = demos._replace(initial_states=wrong, state_names=names, actions=actions)
-    said = " ".join(check(odd, random_frames, CONFIG, KEY).notes)
-    for words in (
-        "not asked for: still",
-        "left and cubed",
-        "Drifts from episode to episode: drift",
-    ):
-        assert words in said
-    for words in ("The first action of every episode is 0", "are at their limit", "3 values only"):
-        assert words in said
-
-
-def test_the_least_horizon_in_which_every_state_shows_is_taken(demos, random_frames):
-    """An expert that reacts to the second state only in its third step."""
-    actions = demos.actions.copy()
-    for state, step in ((0, 0), (0, 1), (1, 2)):
-        at = demos.first + step
-        actions[at, 0] = demos.initial_states[:, state]
-    assert check(demos._replace(actions=actions), random_frames, CONFIG, KEY).horizon == 3
-
-
-def test_more_episodes_show_more():
-    assert visible(50) == pytest.approx(0.7)
-    assert visible(600) == pytest.approx(0.25)
-    assert visible(10**6) == pytest.approx(0.2)
-
-
 def test_with_few_episodes_the_previous_action_must_agree():
     """What is masked because its state is not seen to move anything stays."""
     mask, share = np.array([True, True, False]), np.array([0.99, 0.01, 0.5])
@@ -353,22 +290,6 @@ def test_with_few_episodes_the_previous_action_must_agree():
     assert judge.confirmed(mask, share, 150, CONFIG).tolist() == [True, False, False]
     always = replace(CONFIG, min_power=0.9)
     assert judge.confirmed(mask, share, 150, always).tolist() == [True, True, False]
-
-
-@pytest.mark.parametrize("shape", [(32, 32), (48, 64), (20, 50), (96, 96)])
-def test_frames_come_to_size_by_area_and_back_in_their_shape(shape):
-    """Reference: the mean of what a pixel covers, where sides divide."""
-    image = np.random.default_rng(4).integers(0, 256, (2, *shape, 3), dtype=np.uint8)
-    small = dataset.fitted(image, 32)
-    assert small.shape == (2, 32, 32, 3)
-    top, left, height, width = dataset.inner(shape, 32)
-    assert height / width == pytest.approx(shape[0] / shape[1], rel=0.1)
-    assert not small[:, :top].any()
-    assert not small[:, :, :left].any()
-    if shape == (96, 96):
-        mean = image.reshape(2, 32, 3, 32, 3, 3).mean(axis=(2, 4))
-        assert np.abs(small - mean).max() < 1.0  # twice rounded
-    assert dataset.unfitted(small, shape).shape == image.shape
 
 
 def test_the_words_of_a_kept_latent_name_the_number_of_episodes(masked):
@@ -381,3 +302,45 @@ def test_the_words_of_a_kept_latent_name_the_number_of_episodes(masked):
     assert "Algorithm 1 would have masked" in said
     assert "400 episodes show only correlations" in said
     assert owndata.summary(found, Path("out")).endswith("report: out/report.html")
+
+
+def resumed(masked, tmp_path, monkeypatch, chosen):
+    """The exit code of a masking that is killed before it masks, and then asked to mask so."""
+    shutil.copytree(masked / "out/checkpoints", tmp_path / "checkpoints")
+    shutil.copy(masked / "out/config.json", tmp_path)
+    monkeypatch.setattr(judge, "confirmed", lambda mask, *_: np.full_like(mask, chosen))
+    return command.main(["--resume", str(tmp_path)])
+
+
+def test_where_all_would_be_masked_nothing_is_written(masked, tmp_path, monkeypatch, capsys):
+    assert resumed(masked, tmp_path, monkeypatch, True) == 1
+    said = capsys.readouterr()
+    assert "every latent would be masked, and nothing would be left of the frames" in said.err
+    assert "Nothing was written: every latent" in said.out
+    assert not (tmp_path / "dataset").exists()
+    assert not (tmp_path / "view").exists()
+
+
+def test_where_nothing_is_to_be_masked_that_is_a_finding(masked, tmp_path, monkeypatch, capsys):
+    assert resumed(masked, tmp_path, monkeypatch, False) == 0
+    assert "none masked" in capsys.readouterr().out
+    assert not (tmp_path / "dataset").exists()
+
+
+def test_clones_are_compared_where_that_is_asked_for(masked, tmp_path, monkeypatch):
+    def compared(demos, out, view, *_):
+        assert out.shape == demos.frames.shape[:1]
+        assert 0.05 < out.mean() < 0.15
+        assert view.region.any()
+        return {"recorded": Clone(0.01, 0.25), "written": Clone(0.02, None)}
+
+    shutil.copytree(masked / "out/checkpoints", tmp_path / "checkpoints")
+    config = (masked / "out/config.json").read_text()
+    assert '"clone": false' in config
+    (tmp_path / "config.json").write_text(config.replace('"clone": false', '"clone": true'))
+    monkeypatch.setattr(run, "compared", compared)
+    assert command.main(["--resume", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "results.json").read_text())
+    assert found["clones"]["recorded"] == {"error": 0.01, "copycat": 0.25}
+    page = (tmp_path / "report.html").read_text()
+    assert page.index("cloned from frames") < page.index("0.250") < page.index("Before training")
