@@ -12,10 +12,12 @@ demonstrations and a rule for γ, over all seeds, and beside each what N, γ and
                 its margin, the largest over states of the lesser of D with it and D of the state
                 and an action, is at most γ: what the margins at the largest N predict.
 
-Written to --out are the rows of each seed. Shapes: N trajectories, S state, O latent, H horizon.
+--out holds what was found of each seed; what is there is not measured again. Shapes: N
+trajectories, S state, O latent, H horizon.
 """
 
 import argparse
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -138,13 +140,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/masks.json"))
     options = parser.parse_args()
     cache_compilations()
-    seeds, begin = [], time.process_time()
-    for seed in range(options.seed, options.seed + options.seeds):
-        seeds.append(measure(seed))
-    say(seeds)
-    print(f"{time.process_time() - begin:.0f} s of processor time")
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    write_json(options.out, seeds)
+    known = json.loads(options.out.read_text()) if options.out.exists() else {}
+    wanted, begin = map(str, range(options.seed, options.seed + options.seeds)), time.process_time()
+    found = {}
+    for seed in wanted:
+        if seed not in known:
+            known[seed] = measure(int(seed))._asdict()
+            write_json(options.out, known)
+        found[seed] = Seed(*map(np.asarray, known[seed].values()))
+    say([*found.values()])
+    print(f"{time.process_time() - begin:.0f} s of processor time")
 
 
 if __name__ == "__main__":
