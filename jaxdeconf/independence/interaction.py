@@ -31,7 +31,7 @@ from jaxdeconf.independence.ranks import Ranks, columns, rank_on_device
 from jaxdeconf.independence.ties import FEW, log_survival
 
 HARMONICS = 4  # two turns of an angle that is uniform on the circle
-_ROUNDING = 1e-10  # of eigenvalues, the share of the largest that counts as 0
+_ROUNDING = 1e-10  # of an eigenvalue of cosines' covariances, which are of the order of 1
 
 
 def pairs_of(count: int) -> np.ndarray:
