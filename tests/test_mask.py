@@ -247,10 +247,10 @@ def test_the_family_wise_error_with_pairs_is_at_most_alpha():
     find, wrong = partial(find_mask, states_together=2), 0
     compiled = jax.jit(find)
     for _ in range(100):
-        tied = rng.random((2, 400)) < 0.2
-        states = np.column_stack([rng.normal(size=(400, 2)), tied[0]])
-        observations = np.column_stack([rng.normal(size=400), tied[1]])
-        actions = np.clip(rng.normal(size=(400, 1, 1)), -0.7, 0.7)
+        tied = rng.random((500, 2)) < 0.2
+        states = np.column_stack([rng.normal(size=(500, 2)), tied[:, 0]])
+        observations = np.column_stack([rng.normal(size=(500, 4)), tied[:, 1]])
+        actions = np.clip(rng.normal(size=(500, 1, 1)), -0.7, 0.7)
         data = [np.float32(v) for v in (states, observations, actions)]
         found = compiled(*data)
         wrong += max(found.state_observation.max(), found.state_action.max()) > found.threshold
