@@ -129,6 +129,7 @@ def mask_latents(encoder: Encoder, demos: Demos, config: MaskConfig = MaskConfig
         config.threshold,
         config.alpha,
         config.statistic,
+        config.states_together,
     )
 
 

@@ -3,6 +3,8 @@
 An observation may cause an action if some initial state is dependent on both. An observation
 that may cause no action within the reaction horizon is masked. Everything is read at the first
 time step, where the intervention on the initial state has cut every other common cause.
+With `states_together` = 2, something is dependent on a state also where it is so only together with
+one other state: what the angle between an arm and its target moves depends on both (docs/pairs.md).
 Columns of few values (buttons, grippers, saturated actions) are tested by the refined R, whatever
 the statistic: a rare cause is not masked in silence.
 Shapes: N trajectories, S state, O latent observation, H reaction horizon, A action.
@@ -22,6 +24,7 @@ from jaxdeconf import checks
 from jaxdeconf.independence import p_value
 from jaxdeconf.independence import threshold as null_threshold
 from jaxdeconf.independence.hoeffding import HOEFFDING
+from jaxdeconf.independence.interaction import interaction_r, strongest
 from jaxdeconf.independence.refined import REFINED
 from jaxdeconf.independence.ties import few_events, with_ties
 from jaxdeconf.traced import Traced, traceable
@@ -42,6 +45,8 @@ class MaskConfig:
     # the paper's bare gamma, which a disentangled nuisance exceeds by chance in one dataset in six.
     alpha: float | None = 0.05
     statistic: Literal["hoeffding", "refined"] = "hoeffding"  # the paper's
+    # 2: also what two states move only together. Ours; 1 is the paper's.
+    states_together: Literal[1, 2] = 1
 
     def __post_init__(self):
         checks.integer("reaction_horizon", self.reaction_horizon)
@@ -49,10 +54,15 @@ class MaskConfig:
         if self.alpha is not None:
             checks.number("alpha", self.alpha, "a number in (0, 1)", 0.0, 1.0)
         checks.one_of("statistic", self.statistic, tuple(STATISTICS))
+        checks.integer("states_together", self.states_together, most=2)
 
 
 class Mask(NamedTuple):
-    """The mask and the evidence for it; with thresholds [...], the mask of each."""
+    """The mask and the evidence for it; with thresholds [...], the mask of each.
+
+    Where states are tested together, too, the statistic of a state is the largest of its tests:
+    alone, and with each other state. C of those pairs, in the order of `pairs_of`, or none.
+    """
 
     mask: Array  # [..., O] bool: True where the observation is to be masked
     state_observation: Array  # [S, O] the statistic; where tied, R
@@ -63,6 +73,8 @@ class Mask(NamedTuple):
     p_state_action: Array  # [S, H, A]
     tied_state_observation: Array  # [S, O] bool: for its ties the pair was tested by R
     tied_state_action: Array  # [S, H, A] bool
+    pair_observation: Array  # [C, O] R of what two states tell only together
+    pair_action: Array  # [C, H, A]
 
     def within(self, horizon: int) -> Array:
         """[..., O] the mask for a reaction horizon no longer than H, at the same thresholds.
@@ -81,6 +93,7 @@ def find_mask(
     threshold: ArrayLike = MaskConfig.threshold,
     alpha: float | None = MaskConfig.alpha,
     statistic: str = MaskConfig.statistic,
+    states_together: int = MaskConfig.states_together,
 ) -> Mask:
     """Masks the observations that, by Algorithm 1, cause no action.
 
@@ -93,10 +106,12 @@ def find_mask(
         its p-value: gamma then is what it is for continuous pairs, a level of significance.
       alpha: dependence means a statistic above the larger of `threshold` and the one that
         independent pairs exceed with family-wise probability alpha. The family is every test
-        that Algorithm 1 makes, m = S (O + H A): any of them can leave a nuisance unmasked. None
-        leaves the bare thresholds.
+        that Algorithm 1 makes, m = S (O + H A), or (S + 1) / 2 times as many with pairs of states:
+        any of them can leave a nuisance unmasked. None leaves the bare thresholds.
       statistic: "hoeffding", the paper's D, or "refined", Blum, Kiefer & Rosenblatt's R. Pairs of
         which a column is tied are always tested by R: D of such columns sees next to nothing.
+      states_together: 1, the paper's, or 2: every two states are tested together, too, by
+        `interaction_r`.
     Returns:
       The mask and the statistics it follows from.
     Warns:
@@ -110,17 +125,23 @@ def find_mask(
     latents = checks.array("observations", observations, f"[{n}, O]", (n, None), finite=True)
     controls = checks.array("actions", actions, f"[{n}, H, A]", (n, None, None), finite=True)
     checks.one_of("statistic", statistic, tuple(STATISTICS))
+    checks.integer("states_together", states_together, most=2)
     tested = _side_by_side(latents, controls)
-    gamma = effective_threshold(threshold, alpha, n, coordinates * tested.shape[1])
+    count = family(coordinates, tested.shape[1], states_together)
+    gamma = effective_threshold(threshold, alpha, n, count)
     d, tied = with_ties(states, tested, STATISTICS[statistic])
+    pairs = jnp.zeros((0, tested.shape[1]))
+    if states_together == 2:
+        pairs = interaction_r(states, tested)
+        d = strongest(d, pairs)
     if not isinstance(tied, Tracer) and tied.any():
         _warn_of_few_events(initial_states=states, observations=latents, actions=controls)
 
     def split(pairs: Array) -> tuple[Array, Array]:
         observed, acted = jnp.split(pairs, [latents.shape[1]], axis=1)
-        return observed, acted.reshape(coordinates, *controls.shape[1:])
+        return observed, acted.reshape(-1, *controls.shape[1:])
 
-    (state_observation, state_action), tied = split(d), split(tied)
+    (state_observation, state_action), tied, together = split(d), split(tied), split(pairs)
     potential_cause = potential_causes(state_observation, state_action, gamma)
     return Mask(
         mask=~potential_cause.any(axis=(-2, -1)),
@@ -132,6 +153,8 @@ def find_mask(
         p_state_action=p_value(state_action, n),
         tied_state_observation=tied[0],
         tied_state_action=tied[1],
+        pair_observation=together[0],
+        pair_action=together[1],
     )
 
 
@@ -143,6 +166,11 @@ def _warn_of_few_events(**named: ArrayLike) -> None:
                 "trajectories, too few to find what it depends on; it may be masked for that",
                 stacklevel=3,
             )
+
+
+def family(states: int, columns: int, states_together: int) -> int:
+    """How many tests Algorithm 1 makes of S states against O + H A columns."""
+    return states * columns if states_together == 1 else states * (states + 1) // 2 * columns
 
 
 def effective_threshold(

@@ -60,6 +60,25 @@ def rank_distance_covariance(x: np.ndarray, y: np.ndarray) -> float:
     return float(30 / 4 * square)
 
 
+def interaction(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[float, np.ndarray]:
+    """N - 1 times the interaction of x and y with z, and the weights of chi-squares of its law."""
+
+    def cosines(v: np.ndarray, count: int) -> list[np.ndarray]:
+        u = (below(v).sum(axis=1) + 0.5) / len(v)
+        return [np.sqrt(2 / i) * np.cos(np.pi * i * u) for i in range(1, count + 1)]
+
+    alone = np.column_stack([np.ones(len(x)), *cosines(x, 8), *cosines(y, 8)])
+    left = []
+    for of_x in cosines(x, 4):
+        for of_y in cosines(y, 4):
+            told = alone @ np.linalg.lstsq(alone, of_x * of_y, rcond=1e-7)[0]
+            left.append(of_x * of_y - told)
+    of_z = [f - f.mean() for f in cosines(z, 4)]
+    t = sum(np.mean(g * f) ** 2 for g in left for f in of_z)
+    first, second = (np.linalg.eigvalsh(np.cov(v, bias=True)) for v in (left, of_z))
+    return (len(x) - 1) * float(t), np.outer(first, second).ravel().clip(0)
+
+
 def mask_by_loops(
     states: np.ndarray, observations: np.ndarray, actions: np.ndarray, threshold: float
 ) -> np.ndarray:

@@ -55,7 +55,7 @@ POLICY = Policy(identity, RESNET, 2, {}, {})
 NONE = jnp.zeros((1, 1, 1))
 MASK = Mask(
     *(jnp.zeros(1, bool), NONE[0], NONE, NONE > 0, jnp.zeros(())),
-    *(NONE[0], NONE, NONE[0] > 0, NONE > 0),
+    *(NONE[0], NONE, NONE[0] > 0, NONE > 0, NONE[0], NONE),
 )
 # Seven episodes of three steps, frames to go with them, and a β-VAE of such frames.
 FRAMES = np.zeros((20, 16, 24, 3), np.uint8)
@@ -160,12 +160,14 @@ BAD = [
     ("alpha", "0", lambda: find_mask(STATES, OBSERVATIONS, ACTIONS, alpha=0)),
     ("alpha", "'no'", lambda: find_mask(STATES, OBSERVATIONS, ACTIONS, alpha="no")),
     ("statistic", "'D'", lambda: find_mask(STATES, OBSERVATIONS, ACTIONS, statistic="D")),
+    ("states_together", "3", lambda: find_mask(STATES, OBSERVATIONS, ACTIONS, states_together=3)),
     ("horizon", "0", lambda: MASK.within(0)),
     ("horizon", "2", lambda: MASK.within(2)),
     ("reaction_horizon", "3.5", lambda: MaskConfig(reaction_horizon=3.5)),
     ("threshold", "inf", lambda: MaskConfig(threshold=INF)),
     ("alpha", "nan", lambda: MaskConfig(alpha=NAN)),
     ("statistic", "None", lambda: MaskConfig(statistic=None)),
+    ("states_together", "0", lambda: MaskConfig(states_together=0)),
     # nets
     ("channels", "()", lambda: VAEConfig(channels=())),
     ("channels", "[4, 4]", lambda: VAEConfig(channels=[4, 4])),

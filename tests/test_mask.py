@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxdeconf.independence import hoeffding_d, p_value, refined_d, threshold
+from jaxdeconf.independence.interaction import interaction_r
 from jaxdeconf.mask import MaskConfig, effective_threshold, find_mask, potential_causes
 from tests.reference import mask_by_loops
 
@@ -199,3 +200,41 @@ def test_wrong_arguments():
         ValueError, match=r"observations: expected numbers of shape .120, O., got .*\(119, 4\)"
     ):
         find_mask(states, observations[1:], actions)
+
+
+def joint(seed: int, n: int = 500) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An arm and a target on the circle, and a third state; an action of the angle between.
+
+    Observations: of the arm, of the target, of the third state, noise, of the angle between.
+    """
+    rng = np.random.default_rng(seed)
+    states = rng.uniform(-np.pi, np.pi, (n, 3))
+    between = states[:, 1] - states[:, 0]
+    seen = [np.sin(states[:, 0]), np.cos(states[:, 1]), states[:, 2], rng.normal(size=n)]
+    observations = np.column_stack([*seen, np.cos(between)]) + 0.1 * rng.normal(size=(n, 5))
+    return states, observations, np.sin(between)[:, None, None] + 0.2 * rng.normal(size=(n, 1, 1))
+
+
+def test_causes_that_only_two_states_show_are_kept_and_nothing_else():
+    """What is seen of the arm alone too: it is of one of the two states that move the action."""
+    data = joint(0)
+    alone, together = (find_mask(*data, states_together=count) for count in (1, 2))
+    assert alone.mask.all()
+    assert alone.pair_observation.shape == (0, 5)
+    np.testing.assert_array_equal(together.mask, [False, False, True, True, False])
+    assert (together.pair_action[:, 0, 0] > together.threshold).tolist() == [True, False, False]
+    np.testing.assert_array_equal(
+        together.pair_observation > together.threshold, [[0] * 4 + [1]] + [[0] * 5] * 2
+    )
+    pairs = interaction_r(data[0], np.concatenate([data[1], data[2][:, 0]], axis=1))
+    np.testing.assert_array_equal(together.pair_observation, pairs[:, :5])
+    np.testing.assert_array_equal(together.state_action[:2, 0, 0], pairs[0, 5])
+    np.testing.assert_array_equal(together.p_state_action, p_value(together.state_action, 500))
+    assert together.threshold == np.float32(threshold(500, 6 * (5 + 1), 0.05))
+
+
+def test_a_nuisance_of_one_state_and_an_action_of_another_do_not_meet_in_their_pair():
+    states, observations, actions = trajectories(5, 500)
+    observations[:, 3] = states[:, 2] ** 2  # beside the state that no action depends on
+    found = find_mask(states, observations, actions, states_together=2)
+    np.testing.assert_array_equal(found.mask, [False, False, True, True])

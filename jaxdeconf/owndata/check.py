@@ -11,10 +11,11 @@ from jax import Array
 
 from jaxdeconf import checks
 from jaxdeconf.independence import hoeffding_d
+from jaxdeconf.independence.interaction import interaction_r, pairs_of, strongest
 from jaxdeconf.keys import named
 from jaxdeconf.leakage import explained
 from jaxdeconf.learn.linear_start import linear_start
-from jaxdeconf.mask import effective_threshold
+from jaxdeconf.mask import effective_threshold, family
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.owndata.dataset import Dataset
 from jaxdeconf.vision import raster
@@ -39,7 +40,7 @@ class Check(NamedTuple):
     state_names: list[str]  # [S] that vary
     constant: list[str]  # columns that do not, and are left out
     threshold: float  # gamma, of all tests that a mask would make
-    state_action: np.ndarray  # [S, H, A] the statistic, H up to 10
+    state_action: np.ndarray  # [S, H, A] the statistic, as a mask's, H up to 10
     horizon: int  # that Algorithm 1 is to take
     visible: float  # the least correlation that N episodes show
     spread: np.ndarray  # [O] of the linear start's components; see `spread`
@@ -97,12 +98,16 @@ def check(demos: Dataset, exploration: np.ndarray, config: Masking, key: Array) 
     states, names = np.asarray(begin.initial_states), list(begin.state_names)
     actions = np.asarray(begin.actions).reshape(episodes, -1)
     latents = config.disentangle.network.latents
-    tests = len(names) * (latents + actions.shape[1])
+    tests = family(len(names), latents + actions.shape[1], config.states_together)
     gamma = float(effective_threshold(config.threshold, config.alpha, episodes, tests))
     order = np.arange(episodes)[:, None]
     every = hoeffding_d(states, np.concatenate([actions, states, order], axis=1))  # compiled once
-    acted, mutual = np.split(np.asarray(every), [actions.shape[1]], axis=1)
-    d = acted.reshape(len(names), steps, -1)
+    alone, mutual = np.split(np.asarray(every), [actions.shape[1]], axis=1)
+    pairs, d = np.zeros((0, actions.shape[1])), alone
+    if config.states_together == 2:
+        pairs = np.asarray(interaction_r(states, actions))
+        d = np.asarray(strongest(alone, pairs))
+    d = d.reshape(len(names), steps, -1)
     moves = d.max(axis=(1, 2)) > gamma
     known = linear_spread(demos, exploration, config, key)
     together = _together(states, actions, moves, key) if episodes >= _FEW else None
@@ -116,7 +121,11 @@ def check(demos: Dataset, exploration: np.ndarray, config: Masking, key: Array) 
         horizon=config.horizon or _horizon(d, gamma),
         visible=visible(episodes),
         spread=known,
-        notes=[*_of_states(mutual, episodes, names, moves, constant), *_of_actions(demos)],
+        notes=[
+            *_of_states(mutual, episodes, names, moves, constant),
+            *_of_pairs(names, pairs.max(axis=1, initial=0.0) > gamma),
+            *_of_actions(demos),
+        ],
         refused=_refused(names, moves, together, known, config),
     )
 
@@ -183,9 +192,10 @@ def _refused(
         hidden = ", ".join(name for name, moved in zip(names, moves, strict=True) if not moved)
         return (
             f"{hidden} move the actions only together with other states: all states explain R² "
-            f"{together[0]:.2f} of an action, those that one test of each shows "
-            f"{together[1]:.2f}. What the frames show of {hidden} would be masked. Draw "
-            "initial states from a smaller range, or give a column that moves the actions by "
+            f"{together[0]:.2f} of an action, those that the tests show "
+            f"{together[1]:.2f}. What the frames show of {hidden} would be masked. "
+            + ("Say --states-together 2, draw " if config.states_together == 1 else "Draw ")
+            + "initial states from a smaller range, or give a column that moves the actions by "
             "itself (an angle between two of them, say) with --initial-states FILE.npy"
         )
     if not moves.any():
@@ -211,7 +221,7 @@ def _of_states(
         )
     still = [name for name, moved in zip(names, moves, strict=True) if not moved]
     if still:
-        said.append(f"No action depends on {', '.join(still)} alone.")
+        said.append(f"No test shows an action that depends on {', '.join(still)}.")
     tied = [f"{names[i]} and {names[j]}" for i, j in np.argwhere(np.triu(d[:, :count] > gamma, 1))]
     if tied:
         said.append(
@@ -222,6 +232,12 @@ def _of_states(
     if drift:
         said.append(f"Drifts from episode to episode: {', '.join(drift)}.")
     return said
+
+
+def _of_pairs(names: list[str], shown: np.ndarray) -> list[str]:
+    """A sentence on the states that move an action together, beyond what they do alone."""
+    pairs = [f"{names[i]} with {names[j]}" for i, j in pairs_of(len(names))[np.flatnonzero(shown)]]
+    return [f"Moving an action together: {', '.join(pairs)}."] if pairs else []
 
 
 def _of_actions(demos: Dataset) -> list[str]:

@@ -25,6 +25,8 @@ class Masking:
     horizon: int | None = None  # H; None: the least in which all states that move an action show
     threshold: float = MaskConfig.threshold  # gamma
     alpha: float | None = MaskConfig.alpha  # family-wise error of the tests
+    # 2: also what two states move only together, as the angle between an arm and its target does.
+    states_together: Literal[1, 2] = MaskConfig.states_together
     # Where episodes show only larger correlations than this one, what Algorithm 1 masks is masked
     # only if it tells the previous action: with few episodes it masks causes, too.
     min_power: float = 0.3
@@ -41,6 +43,10 @@ class Masking:
         if self.horizon is not None:
             checks.integer("horizon", self.horizon)
         # What the mask will be made with; raises for its own fields.
-        MaskConfig(self.horizon or 1, self.threshold, self.alpha)
+        self.rule(self.horizon or 1)
         checks.number("min_power", self.min_power, "a number in (0, 1)", 0.0, 1.0)
         checks.one_of("unvaried", self.unvaried, ("refuse", "mask", "keep"))
+
+    def rule(self, horizon: int) -> MaskConfig:
+        """Algorithm 1's config for a reaction horizon."""
+        return MaskConfig(horizon, self.threshold, self.alpha, states_together=self.states_together)

@@ -15,7 +15,7 @@ from jaxdeconf.keys import named
 from jaxdeconf.leakage import explained, r_squared_each
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.mask import Mask, find_mask, potential_causes
+from jaxdeconf.mask import Mask, MaskConfig, find_mask, potential_causes
 from jaxdeconf.owndata.check import visible
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.owndata.dataset import Dataset
@@ -76,11 +76,11 @@ def stability(
     """[O] the share of resamples of the episodes, each with 63 % of them, that mask a latent so."""
     count = max(5, round(_DISTINCT * len(latents)))
     generator = np.random.default_rng(jax.random.bits(named(key, "stability"), (4,)).tolist())
-    agree = []
+    agree, rule = [], (config.threshold, config.alpha, MaskConfig.statistic, config.states_together)
     for _ in range(_RESAMPLES):
         some = generator.choice(len(latents), count, replace=False)
         states, actions = (np.asarray(v)[some] for v in (demos.initial_states, demos.actions))
-        found = find_mask(states, latents[some], actions, config.threshold, config.alpha)
+        found = find_mask(states, latents[some], actions, *rule)
         agree.append(np.asarray(found.mask) == mask)
     return np.mean(agree, axis=0)
 

@@ -160,7 +160,7 @@ def _judged(
     """What Algorithm 1 masks, what of that stands, and how firmly."""
     config, checked = this.config, found.check
     begin = _begin(demos, checked)
-    mask = mask_latents(encoder, begin, MaskConfig(checked.horizon, config.threshold, config.alpha))
+    mask = mask_latents(encoder, begin, config.rule(checked.horizon))
     latents, active = np.asarray(first_latents(encoder, begin)), np.asarray(encoder.active)
     some = jnp.asarray(judge.past(exploration).images)
     spreads = spread(

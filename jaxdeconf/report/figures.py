@@ -105,8 +105,9 @@ def _draw_curve(axes: Axes, name: str, look: Look, points: np.ndarray) -> None:
 def dependence(results: Results, _: Pictures) -> Figure:
     """Algorithm 1: how strongly the initial state and the latents of the first frame depend on each
     other, and the initial state and the expert's first actions, by the statistic that the bar
-    names. Cells above γ are hatched. A latent is masked if no state is hatched both in its column
-    and in an action's.
+    names; where states were tested together, too, a cell is the largest of the state's tests. Cells
+    above γ are hatched. A latent is masked if no state is hatched both in its column and in an
+    action's.
     """
     latents, actions = results.state_observation, results.state_action
     states, horizon, width = actions.shape

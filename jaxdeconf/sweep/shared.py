@@ -195,9 +195,10 @@ def find_masks(work: Work, points: Sequence[Point]) -> dict[int, PointMask]:
     """The mask of every point whose β-VAE there is, all thresholds and horizons in one pass."""
     groups: dict[Any, list[Point]] = defaultdict(list)
     for point in points:
-        groups[encoder_name(point.config), point.config.mask.statistic].append(point)
+        rule = point.config.mask
+        groups[encoder_name(point.config), rule.statistic, rule.states_together].append(point)
     found = {}
-    for (name, _), group in groups.items():
+    for (name, *_), group in groups.items():
         encoder = work.encoders.get(name)
         if encoder is not None:  # not diverged, and needed
             found |= _masks(data_of(work, group[0].config).trial, encoder.encoder, group)
@@ -212,14 +213,15 @@ def _masks(trial: Trial, encoder: Encoder, points: Sequence[Point]) -> dict[int,
     latents = first_latents(encoder, demos)
     count, states = demos.initial_states.shape
     latent, action = latents.shape[1], demos.actions.shape[2]
+    statistic, together = rules[0].statistic, rules[0].states_together
 
     def gamma(rule: mask.MaskConfig) -> float:
-        tests = states * (latent + rule.reaction_horizon * action)
+        tests = mask.family(states, latent + rule.reaction_horizon * action, together)
         return float(mask.effective_threshold(rule.threshold, rule.alpha, count, tests))
 
     gammas = [gamma(rule) for rule in rules]
     found = mask.find_mask(
-        demos.initial_states, latents, demos.actions, np.array(gammas), None, rules[0].statistic
+        demos.initial_states, latents, demos.actions, np.array(gammas), None, statistic, together
     )
     masks = {h: np.asarray(found.within(h)) for h in {rule.reaction_horizon for rule in rules}}
     return {

@@ -41,6 +41,12 @@ def test_causes_that_no_single_state_shows_are_refused(demos, random_frames):
     found = check(demos._replace(actions=product / 2), random_frames, CONFIG, KEY)
     assert found.refused is not None
     assert "left, right move the actions only together" in found.refused
+    assert "Say --states-together 2, draw initial states" in found.refused
+    both = replace(CONFIG, states_together=2)
+    found = check(demos._replace(actions=product / 2), random_frames, both, KEY)
+    assert found.refused is None
+    assert (found.state_action.max(axis=(1, 2)) > found.threshold).all()
+    assert "Moving an action together: left with right." in found.notes
 
 
 def test_states_that_move_nothing_are_refused(demos, random_frames):

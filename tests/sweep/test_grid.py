@@ -70,6 +70,7 @@ def test_points_that_differ_in_traced_fields_have_configs_of_one_structure():
         ("mask.alpha=None,0.1", (None, 0.1)),
         ("disentangle.network.channels=4 8,8 16 32", ((4, 8), (8, 16, 32))),
         ("mask.statistic=hoeffding,refined", ("hoeffding", "refined")),
+        ("mask.states_together=1,2", (1, 2)),
         ("disentangle.network.linear_path=True,False", (True, False)),
     ],
 )

@@ -1,0 +1,157 @@
+"""How good is the mask? Precision and recall, seed after seed: `python -m benchmarks.masks`.
+
+CartPole as the laptop preset has it, from its data to the mask, with new trajectories a seed; for
+the latents, the components of the linear start alone, with which the preset's β-VAE begins. For N
+demonstrations and a rule for γ, over all seeds, and beside each what N, γ and the tests predict:
+
+    recall      of the latents that are the nuisance's, the share that is masked. Independent of
+                every state, one is kept only if a test of it errs: predicted is (1 - p(γ))^S, or
+                more, where some states are not seen to move an action
+    precision   of the latents that are masked, the share that is the nuisance's
+    missed      of the other latents, the share that is masked. A latent is masked if and only if
+                its margin, the largest over states of the lesser of D with it and D of the state
+                and an action, is at most γ: what the margins at the largest N predict.
+
+--out holds what was found of each seed; what is there is not measured again. Shapes: N
+trajectories, S state, O latent, H horizon.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxdeconf import collect, systems
+from jaxdeconf.commands.guard import cache_compilations
+from jaxdeconf.expert import expert_trajectories
+from jaxdeconf.independence import p_value
+from jaxdeconf.keys import named
+from jaxdeconf.leakage import explained
+from jaxdeconf.learn.linear_start import linear_start
+from jaxdeconf.mask import effective_threshold, family, find_mask
+from jaxdeconf.pipeline.plain import write_json
+from jaxdeconf.pipeline.results import SAME
+from jaxdeconf.presets import PRESETS
+from jaxdeconf.systems.rollout import frames, random_trajectories
+from jaxdeconf.vision import raster
+
+CONFIG = PRESETS["cartpole"]["laptop"]
+CARTPOLE = systems.get("cartpole")
+# No mask needs more steps of an expert.
+SHORT = replace(CARTPOLE, steps=CONFIG.mask.reaction_horizon)
+_LEARNED, _JUDGED = 4096, 1200  # frames, of which the linear start takes as many
+COUNTS = (100, 300, 1000)
+RULES = {"γ = 0.001": None, "family-wise 5 %": 0.05}
+
+
+class Seed(NamedTuple):
+    """What is known of a seed's latents."""
+
+    nuisance: np.ndarray  # [O] bool: the previous action explains 90 % of it
+    masks: np.ndarray  # [counts, rules, O] bool
+    margins: np.ndarray  # [counts, O]
+
+
+def flat(images: Array) -> Array:
+    """[n, P] in [0, 1]."""
+    return raster.dequantize(images).reshape(len(images), -1)
+
+
+def measure(seed: int) -> Seed:
+    """The masks of one seed's demonstrations."""
+    key, most = jax.random.key(seed), COUNTS[-1]
+    random = random_trajectories(CARTPOLE, named(key, "random"), 5000)
+    valid = np.flatnonzero(np.asarray(random.valid))
+    chosen = np.random.default_rng(seed).choice(valid, _LEARNED + _JUDGED, replace=False)
+    some = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:])[chosen], random)
+    images, signal = flat(frames(CARTPOLE, some)), some.previous_actions / CARTPOLE.limits
+    count = CONFIG.disentangle.network.latents
+    start = linear_start(images[:_LEARNED], count, named(key, "linear start"))
+
+    def latents(images: Array) -> Array:
+        return (images - start.mean) @ start.encoder
+
+    share = explained(signal[_LEARNED:], latents(images[_LEARNED:]), named(key, "told"))
+    keys = jax.random.split(named(key, "expert initial states"), most)
+    states = jax.vmap(CARTPOLE.sample_initial)(keys)
+    driven, _ = expert_trajectories(SHORT, states, named(key, "expert"), CONFIG.expert)
+    demos = collect.demonstrations(SHORT, driven)
+    first = latents(flat(demos.images[:, 0]))
+    masks, margins = [], []
+    for n in COUNTS:
+        rules = np.array([gamma(n, alpha) for alpha in RULES.values()])
+        found = find_mask(demos.initial_states[:n], first[:n], demos.actions[:n], rules, None)
+        moved = found.state_action.max(axis=(1, 2))[:, None]
+        margins.append(jnp.minimum(found.state_observation, moved).max(axis=0))
+        masks.append(found.mask)
+    return Seed(np.asarray(share) >= SAME, np.asarray(masks), np.asarray(margins))
+
+
+def gamma(n: int, alpha: float | None) -> float:
+    """The threshold of a rule for N demonstrations."""
+    states, tested = len(CARTPOLE.state_names), CONFIG.disentangle.network.latents
+    tested += CONFIG.mask.reaction_horizon * len(CARTPOLE.action_names)
+    return float(effective_threshold(1e-3, alpha, n, family(states, tested, 1)))
+
+
+def interval(part: int, whole: int) -> str:
+    """A share with Wilson's interval of 95 %."""
+    if not whole:
+        return "none"
+    z2, share = 1.96**2, part / whole
+    middle = (share + z2 / (2 * whole)) / (1 + z2 / whole)
+    half = 1.96 / (1 + z2 / whole) * np.sqrt(share * (1 - share) / whole + z2 / (4 * whole**2))
+    low, high = np.clip([middle - half, middle + half], 0, 1)
+    return f"{part} of {whole} = {share:.3f} ({low:.3f} to {high:.3f})"
+
+
+def say(seeds: list[Seed]) -> None:
+    """A row for each N and rule."""
+    nuisance, masks, margins = (np.array(part) for part in zip(*seeds, strict=True))
+    print(f"{len(seeds)} seeds; latents that are the nuisance's: {np.bincount(nuisance.sum(1))}")
+    print("| N | rule (γ) | recall | predicted | precision | missed | predicted |")
+    for i, n in enumerate(COUNTS):
+        for j, (rule, alpha) in enumerate(RULES.items()):
+            mask, level = masks[:, i, j], gamma(n, alpha)
+            p = float(p_value(level, n))
+            found, wrong = int((mask & nuisance).sum()), int((mask & ~nuisance).sum())
+            cells = (
+                interval(found, int(nuisance.sum())),
+                f"{(1 - p) ** len(CARTPOLE.state_names):.3f}",
+                interval(found, found + wrong),
+                interval(wrong, int((~nuisance).sum())),
+                f"{(margins[:, -1] <= level)[~nuisance].mean():.3f}",
+            )
+            print(f"| {n} | {rule} ({level:.4f}) | " + " | ".join(cells) + " |", flush=True)
+
+
+def main() -> None:
+    """Measures seed after seed, and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=100, help="the first seed")
+    parser.add_argument("--seeds", type=int, default=100, help="how many")
+    parser.add_argument("--out", type=Path, default=Path("runs/masks.json"))
+    options = parser.parse_args()
+    cache_compilations()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    known = json.loads(options.out.read_text()) if options.out.exists() else {}
+    wanted, begin = map(str, range(options.seed, options.seed + options.seeds)), time.process_time()
+    found = {}
+    for seed in wanted:
+        if seed not in known:
+            known[seed] = measure(int(seed))._asdict()
+            write_json(options.out, known)
+        found[seed] = Seed(*map(np.asarray, known[seed].values()))
+    say([*found.values()])
+    print(f"{time.process_time() - begin:.0f} s of processor time")
+
+
+if __name__ == "__main__":
+    main()
