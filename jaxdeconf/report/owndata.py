@@ -78,7 +78,7 @@ def verdict(found: Found) -> list[str]:
     mask, active, asked, share = found.mask, found.active, found.asked, found.nuisance_share
     chosen, kept = np.flatnonzero(mask).tolist(), np.flatnonzero(asked & ~mask).tolist()
     said = [f"Of {int(active.sum())} active latents, {words.listing(chosen)} masked."]
-    if not chosen:
+    if not chosen and not kept:
         said.append("Nothing in the first frames is independent of what moves the expert.")
     for latent in chosen:
         said.append(
@@ -86,9 +86,9 @@ def verdict(found: Found) -> list[str]:
         )
     if kept:
         said.append(
-            f"Algorithm 1 would have masked {words.listing(kept)}, too; but {found.check.episodes} "
+            f"Algorithm 1 would have masked {words.listing(kept)}; but {found.check.episodes} "
             f"episodes show only correlations from about {found.check.visible:.2g} on, and the "
-            "previous action tells nothing of it: it is kept."
+            "previous action does not explain what is shown there: it is kept."
         )
     if found.written is None or found.leakage is None:
         return said
@@ -142,7 +142,7 @@ def _of_source(name: str, source: Source) -> str:
 def of_cost(cost: Cost) -> str:
     """What is to come."""
     return (
-        f"A masking takes about {cost.minutes:.0f} minutes of processor time here, and "
+        f"A masking takes about {cost.minutes:.1f} min of processor time here, and "
         f"{cost.memory_mb / 1024:.1f} GB of memory."
     )
 

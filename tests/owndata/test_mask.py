@@ -334,12 +334,10 @@ def test_clones_are_compared_where_that_is_asked_for(masked, tmp_path, monkeypat
         assert view.region.any()
         return {"recorded": Clone(0.01, 0.25), "written": Clone(0.02, None)}
 
-    shutil.copytree(masked / "out/checkpoints", tmp_path / "checkpoints")
-    config = (masked / "out/config.json").read_text()
-    assert '"clone": false' in config
-    (tmp_path / "config.json").write_text(config.replace('"clone": false', '"clone": true'))
     monkeypatch.setattr(run, "compared", compared)
-    assert command.main(["--resume", str(tmp_path)]) == 0
+    monkeypatch.setattr(command, "cache_compilations", lambda: None)
+    words = [str(masked / "demos.npz"), "--exploration", str(masked / "more.npz"), "--clone"]
+    assert command.main([*words, "--out", str(tmp_path), *SMALL]) == 0
     found = json.loads((tmp_path / "results.json").read_text())
     assert found["clones"]["recorded"] == {"error": 0.01, "copycat": 0.25}
     page = (tmp_path / "report.html").read_text()
