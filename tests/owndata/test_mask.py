@@ -341,9 +341,9 @@ def test_the_least_horizon_in_which_every_state_shows_is_taken(demos, random_fra
 
 
 def test_more_episodes_show_more():
-    assert visible(50) == pytest.approx(0.7)
-    assert visible(600) == pytest.approx(0.25)
-    assert visible(10**6) == pytest.approx(0.2)
+    assert visible(50) == pytest.approx(0.61, abs=0.01)
+    assert visible(600) == pytest.approx(0.20, abs=0.01)
+    assert visible(10**6) == pytest.approx(0.064, abs=0.001)  # gamma hides what is weaker
 
 
 def test_with_few_episodes_the_previous_action_must_agree():
