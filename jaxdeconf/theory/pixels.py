@@ -139,11 +139,12 @@ def mask_rates(
     """How often the square's latent is masked, and how often any other is, for each condition."""
     square = scene.square > _SAME
     others = np.asarray(scene.encoder.active) & ~square
-    rows, key = [], named(key, "first squares")
+    rows, keys = [], jax.random.split(named(key, "first squares"), config.datasets)
     for coupling in config.couplings:
 
         def masks(coupling: float = coupling) -> Array:
-            return _masks(config, scene, coupling, key)
+            of = scene.system, scene.encoder, scene.collected.expert, coupling, keys
+            return _masks(*of, config.mask, config.dataset)
 
         found = np.asarray(stage(f"masks {coupling:g}", masks))
         n, gamma = config.dataset, config.mask.threshold
@@ -154,28 +155,30 @@ def mask_rates(
     return rows
 
 
-def _masks(config: PixelsConfig, scene: Scene, coupling: float, key: Array) -> Array:
-    """[datasets, O] masks of some of the expert's trajectories each, with squares anew."""
-    system, encoder, expert = scene.system, scene.encoder, scene.collected.expert
+@partial(jax.jit, static_argnames=("system", "count"))
+def _masks(
+    system: System,
+    encoder: Encoder,
+    expert: Trajectories,
+    coupling: float,
+    keys: Array,
+    config: MaskConfig,
+    count: int,
+) -> Array:
+    """[datasets, O] masks, each of `count` of the expert's trajectories with squares anew."""
 
     def one(key: Array) -> Array:
         of_rows, of_squares = jax.random.split(key)
-        rows = jax.random.permutation(of_rows, len(expert.states))[: config.dataset]
-        some = jax.tree.map(lambda a: a[rows, : config.mask.reaction_horizon], expert)
+        rows = jax.random.permutation(of_rows, len(expert.states))[:count]
+        some = jax.tree.map(lambda a: a[rows, : config.reaction_horizon], expert)
         some = coupled(system, some, coupling, of_squares)
         images = frames(system, jax.tree.map(lambda a: a[:, 0], some))
         mean, _ = vae.encode(encoder.network, encoder.variables, images)
-        latents = jnp.where(encoder.active, mean, 0.0)
-        found = find_mask(
-            some.states[:, 0],
-            latents,
-            some.actions / system.limits,
-            config.mask.threshold,
-            config.mask.alpha,
-        )
+        latents, acted = jnp.where(encoder.active, mean, 0.0), some.actions / system.limits
+        found = find_mask(some.states[:, 0], latents, acted, config.threshold, config.alpha)
         return found.mask
 
-    return jax.jit(partial(jax.lax.map, one))(jax.random.split(key, config.datasets))
+    return jax.lax.map(one, keys)
 
 
 def drive(
