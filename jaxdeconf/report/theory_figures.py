@@ -1,6 +1,6 @@
 """The theory's figures: a function each, whose docstring opens with its caption.
 
-Loads matplotlib; see `canvas`. Shaded are Wilson's intervals of 95 %.
+Loads matplotlib; see `canvas`. Shaded: Wilson's intervals of 95 %.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,11 +15,10 @@ from jaxdeconf.pipeline.theory import Theory
 from jaxdeconf.report.canvas import FAINT, INK
 from jaxdeconf.report.figures import LOSS, contact_sheet
 from jaxdeconf.report.words import subscript
-from jaxdeconf.theory.claims import Rate
+from jaxdeconf.theory.claims import ALONE, Rate
 
 _BLUE, _ORANGE, _GREEN, _PURPLE = "#0072B2", "#D55E00", "#009E73", "#B55D92"
 _COLORS = (_BLUE, _ORANGE, _GREEN, _PURPLE, "#E69F00", "#4B0082", "#00C2D1", "#661100")
-_TRAJECTORIES = "trajectories N"
 
 
 def by_case(rows: Iterable[Rate]) -> dict[str, list[Rate]]:
@@ -31,16 +30,22 @@ def by_case(rows: Iterable[Rate]) -> dict[str, list[Rate]]:
     return cases
 
 
-def _curves(axes: Axes, cases: Mapping[str, list[Rate]], across: str = "trajectories") -> None:
-    for place, (name, rows) in enumerate(cases.items()):
-        x = [getattr(row, across) for row in rows]
-        low, high = np.array([row.interval for row in rows]).T
-        color = _COLORS[place % len(_COLORS)]
-        axes.plot(x, [row.rate for row in rows], "o-", color=color, ms=3, lw=1.5, label=name)
-        axes.fill_between(x, low, high, color=color, alpha=0.15, lw=0)
+def _curves(axes: Axes, cases: Mapping[str, list[Rate]]) -> None:
+    """Rates against N; dashed, and in its case's colour, what has no fixed gamma."""
+    colors: dict[str, str] = {}
+    for name, rows in cases.items():
+        base, alone = name.removesuffix(ALONE), name.endswith(ALONE)
+        color = colors.setdefault(base, _COLORS[len(colors) % len(_COLORS)])
+        x, low, high = zip(*((row.trajectories, *row.interval) for row in rows), strict=True)
+        look = {"color": color, "marker": "o", "markersize": 3, "linewidth": 1.5}
+        rates = [row.rate for row in rows]
+        axes.plot(x, rates, "--" if alone else "-", label=None if alone else base, **look)
+        axes.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
     axes.set_xscale("log")
     axes.set_ylim(-0.03, 1.03)
+    axes.set_xlabel("trajectories N")
     axes.grid(axis="y", color="#E6E6E6", linewidth=0.7)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=7.5)
 
 
 def _panels(count: int) -> tuple[Figure, Any]:
@@ -48,13 +53,10 @@ def _panels(count: int) -> tuple[Figure, Any]:
     return figure, figure.subplots(1, count, sharey=True, squeeze=False)[0]
 
 
-def _legend(axes: Axes) -> None:
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=7.5)
-
-
 def conservative(found: Theory, _: Pictures) -> Figure:
     """Theorem 1. How often Algorithm 1 masks a true cause, with the intervention: by the strength
-    of its edges; and with an assumption broken, edges as strong as the strongest.
+    of its edges; and with an assumption broken, edges as strong as the strongest. Dashed: by the
+    threshold of the tests alone, without a fixed γ.
     """
     cases = by_case(found.conservative)
     kept = {name: rows for name, rows in cases.items() if name.startswith("edges")}
@@ -64,23 +66,18 @@ def conservative(found: Theory, _: Pictures) -> Figure:
     left.set_ylabel("a true cause is masked")
     left.set_title("assumptions hold")
     right.set_title("one is broken")
-    for axes in (left, right):
-        axes.set_xlabel(_TRAJECTORIES)
-        _legend(axes)
     return figure
 
 
 def intervention(found: Theory, _: Pictures) -> Figure:
     """Left, the proposition: how often an observation of the seed alone is masked. Right, Theorem
-    2: of what is rightly masked without the intervention, how much is masked with it.
+    2: of what is rightly masked without the intervention, how much is masked with it. Dashed:
+    without a fixed γ.
     """
     figure, (left, right) = _panels(2)
     _curves(left, by_case(found.strictly_less))
     _curves(right, by_case(found.no_more_conservative))
     left.set_ylabel("masked")
-    for axes in (left, right):
-        axes.set_xlabel(_TRAJECTORIES)
-        _legend(axes)
     return figure
 
 
@@ -103,6 +100,7 @@ def threshold(found: Theory, _: Pictures) -> Figure:
     axes.set_xscale("log")
     axes.set_ylim(-0.03, 1.03)
     axes.set_xlabel("γ")
+    axes.set_ylabel("share of systems")
     axes.legend(fontsize=7.5)
     return figure
 

@@ -129,6 +129,15 @@ def _draw_waves(key: Array) -> Waves:
     return waves._replace(amplitude=waves.amplitude / deviation[:, None], mean=mean / deviation)
 
 
+def moving(structure: Structure, horizon: int) -> Array:
+    """[S] bool: the first states from which a path leads to an action within so many steps.
+
+    A state adds to itself and to the one after it, so it reaches CAUSE's in some steps.
+    """
+    steps = (structure.parent[:, CAUSE].argmax() - jnp.arange(STATES)) % STATES
+    return steps < horizon - structure.lag
+
+
 def broken(structures: Structure) -> dict[str, Structure]:
     """Systems [B], and in each entry the same with one assumption broken."""
     zeros = jnp.zeros_like(structures.spread)
