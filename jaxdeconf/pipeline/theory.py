@@ -76,7 +76,7 @@ def run(
     measured = claims.measure(of, key, this.stage)
     found = Theory(
         conservative=claims.conservative(of, measured, key, this.stage),
-        no_more_conservative=claims.no_more_conservative(of, measured),
+        no_more_conservative=claims.no_more_conservative(of, measured, key),
         strictly_less=claims.strictly_less(of, measured, key),
         threshold=claims.threshold(of, measured, key, this.stage),
     )

@@ -45,16 +45,22 @@ class PixelsConfig:
 
     couplings: tuple[float, ...] = (1.0, 0.5, 0.0)  # share of trajectories not intervened on
     method: str = field(default_factory=lambda: masking()[0])  # cloned behind each mask
-    datasets: int = 50  # that are masked; of `dataset` of the expert's trajectories, squares anew
-    dataset: int = 300
+    datasets: int = 40  # that are masked; of `dataset` of the expert's trajectories, squares anew
+    dataset: int = 1000
     rollouts: int = 100
-    random_trajectories: int = 2000
-    random_steps: int = 12
-    expert_trajectories: int = 800
+    random_trajectories: int = 1500
+    random_steps: int = 10
+    expert_trajectories: int = 1500
     expert: ExpertConfig = field(default_factory=ExpertConfig)
-    disentangle: DisentangleConfig = field(default_factory=lambda: replace(vae.CPU, steps=600))
+    disentangle: DisentangleConfig = field(
+        default_factory=lambda: replace(
+            vae.CPU, steps=200, start_components=12, network=replace(vae.CPU.network, latents=6)
+        )
+    )
     mask: MaskConfig = field(default_factory=lambda: MaskConfig(reaction_horizon=3))
-    clone: CloneConfig = field(default_factory=lambda: replace(bc.CPU, trajectory_steps=40))
+    clone: CloneConfig = field(
+        default_factory=lambda: replace(bc.CPU, steps=500, trajectory_steps=40)
+    )
 
     def __post_init__(self):
         for one in self.couplings:

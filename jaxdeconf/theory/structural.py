@@ -2,7 +2,7 @@
 
     W -> S_1, O_1      S_t -> O_t, S_t+1      O_t-l -> A_t      A_t -> S_t+1, O_t+1
 
-W is the seed, common to the first state and the first observations (the paper's Figure 2). The
+W is the seed, common to the first state and the first observations (the paper's Figure 1). The
 intervention draws S_1 from a distribution of its own, which cuts W -> S_1. Every edge is a random
 smooth function of one variable; one of strength c makes c^2 of the effect's variance, and noise the
 rest. Each of a system's four observations has a role, so that what is right is known:
