@@ -125,7 +125,7 @@ def rate(case: str, trajectories: int, threshold: float, happened: Any, **more: 
     return Rate(case, trajectories, threshold, events, n, p, interval, **more)
 
 
-class Tests(NamedTuple):
+class Statistics(NamedTuple):
     """The statistics of Algorithm 1 for B systems."""
 
     state_observation: Array  # [B, S, O]
@@ -141,8 +141,8 @@ class Tests(NamedTuple):
 class Measured(NamedTuple):
     """The statistics of the same systems with the intervention on S_1 and without."""
 
-    intervened: Tests
-    natural: Tests
+    intervened: Statistics
+    natural: Statistics
 
 
 def draw_systems(config: ClaimsConfig, count: int, key: Array) -> tuple[Structure, np.ndarray]:
@@ -155,16 +155,16 @@ def draw_systems(config: ClaimsConfig, count: int, key: Array) -> tuple[Structur
 @partial(jax.jit, static_argnames=("trajectories", "horizon", "tied"))
 def _tests(
     structures: Structure, keys: Array, coupling: float, trajectories: int, horizon: int, tied: bool
-) -> Tests:
-    def one(of: tuple[Structure, Array]) -> Tests:
+) -> Statistics:
+    def one(of: tuple[Structure, Array]) -> Statistics:
         structure, key = of
         noise = structural.draw_noise(key, trajectories, horizon)
         states, seen, actions = structural.simulate(structure, noise, coupling)
         if tied:
             mask = find_mask(states[:, 0], seen[:, 0], actions[:, :, None])
-            return Tests(mask.state_observation, mask.state_action[..., 0])
+            return Statistics(mask.state_observation, mask.state_action[..., 0])
         d = hoeffding_d(states[:, 0], jnp.concatenate([seen[:, 0], actions], axis=1))
-        return Tests(d[:, :OBSERVATIONS], d[:, OBSERVATIONS:])
+        return Statistics(d[:, :OBSERVATIONS], d[:, OBSERVATIONS:])
 
     return jax.lax.map(one, (structures, keys))
 
@@ -176,7 +176,7 @@ def run_tests(
     horizon: int,
     coupling: float = 0.0,
     tied: bool = False,
-) -> Tests:
+) -> Statistics:
     """Draws a data set of each system and tests it.
 
     Args:
@@ -230,7 +230,7 @@ def _broken(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
     strong = replace(config, strengths=config.strengths[-1:])
     for n in (n for n in config.trajectories if n <= _BROKEN):
 
-        def tests(n: int = n) -> dict[str, Tests]:
+        def tests(n: int = n) -> dict[str, Statistics]:
             structures, _ = draw_systems(strong, config.count(n, config.broken_systems), key)
             data, horizon = jax.random.fold_in(key, n), config.reaction_horizon
             systems = structural.broken(structures)

@@ -9,7 +9,7 @@ import pytest
 
 from jaxdeconf.mask import find_mask
 from jaxdeconf.theory import claims, structural
-from jaxdeconf.theory.claims import ClaimsConfig, Tests, rate
+from jaxdeconf.theory.claims import ClaimsConfig, Statistics, rate
 from jaxdeconf.theory.structural import BUTTON, CAUSE, FORK, MARK, OBSERVATIONS, STATES
 
 KEY = jax.random.key(0)
@@ -102,7 +102,7 @@ def test_a_mask_of_known_statistics():
     """One state, dependent on the first observation and the first action."""
     seen, acted = np.zeros((1, STATES, OBSERVATIONS)), np.zeros((1, STATES, 2))
     seen[0, 1, CAUSE] = seen[0, 0, FORK] = acted[0, 1, 1] = 0.5
-    masked = Tests(seen, acted).masked(0.1)[0]
+    masked = Statistics(seen, acted).masked(0.1)[0]
     assert masked.tolist() == [place != CAUSE for place in range(OBSERVATIONS)]
 
 
