@@ -20,6 +20,7 @@ from jaxdeconf.independence import (
     p_value,
     permutation_p_value,
     refined_d,
+    required_trajectories,
     threshold,
 )
 from jaxdeconf.mask import Mask, find_mask

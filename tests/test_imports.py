@@ -24,12 +24,13 @@ FLOORS = {
     **dict.fromkeys(["views", "evaluate"], 5),
     **dict.fromkeys(["methods", "region"], 6),
     **dict.fromkeys(["deconfound", "formats"], 7),
-    "pipeline": 8,
-    "presets": 9,
-    "sweep": 9,
-    "owndata": 9,
-    "report": 10,
-    "commands": 11,
+    "theory": 8,
+    "pipeline": 9,
+    "presets": 10,
+    "sweep": 10,
+    "owndata": 10,
+    "report": 11,
+    "commands": 12,
 }
 HARNESS = {"formats", "pipeline", "sweep", "owndata", "report", "commands"}
 # Only the harness knows files and screens.
@@ -128,6 +129,7 @@ def test_every_edge_runs_downward():
         ("jaxdeconf.evaluate", "jaxdeconf.methods"),
         ("jaxdeconf.formats.npz", "jaxdeconf.owndata.dataset"),
         ("jaxdeconf.owndata.run", "jaxdeconf.sweep.sweep"),
+        ("jaxdeconf.theory.claims", "jaxdeconf.pipeline.stages"),
     ],
 )
 def test_a_wrong_edge_would_be_seen(importer, imported):

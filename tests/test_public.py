@@ -8,7 +8,7 @@ import jaxdeconf as jd
 NAMES = {
     *("System", "systems", "Demos", "Config", "run"),
     *("hoeffding_d", "refined_d", "p_value", "threshold", "permutation_p_value"),
-    "dependence",
+    *("dependence", "required_trajectories"),
     *("Mask", "find_mask", "find_region", "Method", "METHODS", "Evidence"),
     *("deconfound", "learn_latents", "mask_latents", "clone_policy"),
     *("drive", "rollout_loss", "copycat", "load_view"),

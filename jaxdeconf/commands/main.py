@@ -8,6 +8,7 @@ _COMMANDS = {
     "reacher": "a two-link arm; a dot shows the last torques",
     "mask": "your own demonstrations, with the nuisance taken out of every frame",
     "sweep": "a grid of fields and seeds; what points share is done once",
+    "theory": "every claim of the paper as an experiment; what the intervention is for",
     "report": "draw a finished run's report again",
 }
 
@@ -41,6 +42,10 @@ def _command(name: str, words: list[str]) -> int:
         from jaxdeconf.commands import mask
 
         return mask.main(words)
+    if name == "theory":
+        from jaxdeconf.commands import theory
+
+        return theory.main(words)
     if name == "sweep":
         from jaxdeconf.commands import sweep
 

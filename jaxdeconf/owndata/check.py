@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxdeconf import checks
-from jaxdeconf.independence import hoeffding_d
+from jaxdeconf.independence import hoeffding_d, least_strength
 from jaxdeconf.independence.interaction import interaction_r, pairs_of, strongest
 from jaxdeconf.keys import named
 from jaxdeconf.leakage import explained
@@ -29,8 +29,7 @@ _SATURATED = 0.5  # share of actions at their limit
 # Of a latent's spread over exploration frames, the least that first frames must show. What resets
 # do not vary has 0.04 to 0.06, all of it mixed in from other latents; what they do, 0.5 and more.
 UNVARIED = 0.2
-# Correlations of normal variables that D finds in nine of ten datasets of N; 36 tests, 5 % in all.
-_VISIBLE = {25: 0.8, 50: 0.7, 100: 0.5, 200: 0.4, 300: 0.3, 600: 0.25, 1000: 0.2}
+_TESTS = 36  # among which a correlation is to be seen: a usual number
 
 
 class Check(NamedTuple):
@@ -50,7 +49,7 @@ class Check(NamedTuple):
 
 def visible(episodes: int) -> float:
     """The least Gaussian correlation that so many episodes show in nine datasets of ten."""
-    return float(np.interp(np.log(episodes), np.log([*_VISIBLE]), [*_VISIBLE.values()]))
+    return least_strength(episodes, _TESTS)
 
 
 def spread(first: Array, exploration: Array) -> np.ndarray:

@@ -59,6 +59,8 @@ def from_plain(kind: Any, plain: Any) -> Any:
         return math.nan if plain is None else plain
     if kind is np.ndarray:
         return np.array(plain, float) if _has_null(plain) else np.array(plain)
+    if get_origin(kind) is list:
+        return [from_plain(get_args(kind)[0], value) for value in plain]
     if get_origin(kind) is tuple:
         return tuple(plain)
     if get_origin(kind) is dict:

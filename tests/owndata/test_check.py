@@ -100,6 +100,6 @@ def test_short_episodes_are_named_and_left_out_if_asked(demos, random_frames):
 
 
 def test_more_episodes_show_more():
-    assert visible(50) == pytest.approx(0.7)
-    assert visible(600) == pytest.approx(0.25)
-    assert visible(10**6) == pytest.approx(0.2)
+    assert visible(50) == pytest.approx(0.61, abs=0.01)
+    assert visible(600) == pytest.approx(0.20, abs=0.01)
+    assert visible(10**6) == pytest.approx(0.064, abs=0.001)  # gamma hides what is weaker

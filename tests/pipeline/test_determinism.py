@@ -44,6 +44,9 @@ ALONE = {
     "region",
     # Of a dataset of one's own.
     *("linear start", "check", "told", "stability", "retention", "written"),
+    # Of the theory's experiments.
+    *("structures", "structural data", "normal columns"),
+    *("square", "first squares", "coupled", "driven", "redrawn"),
 }
 
 

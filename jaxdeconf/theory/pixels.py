@@ -1,0 +1,225 @@
+"""What the intervention is for, on pixels: CartPole with the paper's fork made real.
+
+The seed W, uniform in [-1, 1], sets where the cart starts and what the first square shows, as if an
+operator had pressed the button the harder, the farther left the cart stood. The intervention draws
+the start anew, from the same law, and leaves the square to W. So all conditions share the expert's
+trajectories, the random-policy frames and the β-VAE; they differ in the first squares alone.
+Shapes: N trajectories, S state, H reaction horizon, A action, O latent.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxdeconf import checks, collect, evaluate
+from jaxdeconf.collect import CollectConfig, Collected
+from jaxdeconf.deconfound import clone_policy, learn_latents, mask_latents
+from jaxdeconf.demos import Demos
+from jaxdeconf.expert import ExpertConfig
+from jaxdeconf.keys import named
+from jaxdeconf.leakage import explained
+from jaxdeconf.learn import clone as bc
+from jaxdeconf.learn import disentangle as vae
+from jaxdeconf.learn.clone import CloneConfig
+from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
+from jaxdeconf.learn.fit import FitState, Training, Watch, finish
+from jaxdeconf.mask import MaskConfig, find_mask
+from jaxdeconf.methods import METHODS, Evidence, masking
+from jaxdeconf.region import find_region
+from jaxdeconf.systems import System, Trajectories, cartpole
+from jaxdeconf.systems.rollout import frames
+from jaxdeconf.theory.claims import Rate, Stage, at_once, rate
+
+_HAND = 0.8  # how much of the first square's range follows from where the cart stands
+_SAME = 0.9  # share of a latent's variance that the previous action explains, if it is the square's
+
+
+@dataclass(frozen=True)
+class PixelsConfig:
+    """A small budget: the linear start, a short β-VAE, small networks. All ours."""
+
+    couplings: tuple[float, ...] = (1.0, 0.5, 0.0)  # share of trajectories not intervened on
+    method: str = field(default_factory=lambda: masking()[0])  # cloned behind each mask
+    datasets: int = 40  # that are masked; of `dataset` of the expert's trajectories, squares anew
+    dataset: int = 1000
+    rollouts: int = 100
+    random_trajectories: int = 1500
+    random_steps: int = 10
+    expert_trajectories: int = 1500
+    expert: ExpertConfig = field(default_factory=ExpertConfig)
+    disentangle: DisentangleConfig = field(
+        default_factory=lambda: replace(
+            vae.CPU, steps=200, start_components=12, network=replace(vae.CPU.network, latents=6)
+        )
+    )
+    mask: MaskConfig = field(default_factory=lambda: MaskConfig(reaction_horizon=3))
+    clone: CloneConfig = field(
+        default_factory=lambda: replace(bc.CPU, steps=500, trajectory_steps=40)
+    )
+
+    def __post_init__(self):
+        for one in self.couplings:
+            checks.number("couplings", one, "numbers in [0, 1]", -1e-9, 1 + 1e-9)
+        checks.one_of("method", self.method, tuple(METHODS))
+        checks.integer("dataset", self.dataset, least=5, most=self.expert_trajectories)
+        for name in ("datasets", "rollouts"):
+            checks.integer(name, getattr(self, name))
+
+
+class Driven(NamedTuple):
+    """What became of one condition: its mask, and the policy behind it."""
+
+    coupling: float  # the share of trajectories that was not intervened on
+    mask: np.ndarray  # [O] bool
+    state_observation: np.ndarray  # [S, O] D
+    threshold: float
+    loss: float  # mean rollout loss
+    error: float  # its standard error over rollouts
+    survival: float  # share of rollouts in bounds to the end
+    copycat: float  # mean change of the action over its limit when only the square is redrawn
+
+
+class Scene(NamedTuple):
+    """What all conditions share."""
+
+    system: System
+    collected: Collected
+    encoder: Encoder
+    exploration: Array  # uint8 [n, H, W, 3] held out
+    square: np.ndarray  # [O] R² of each latent that the previous action explains
+
+
+def prepare(
+    config: PixelsConfig, key: Array, stage: Stage = at_once, watch: Watch = finish
+) -> Scene:
+    """Collects what the conditions share, and learns the latents."""
+    system = cartpole.CARTPOLE
+    wanted = CollectConfig(
+        random_trajectories=config.random_trajectories,
+        expert_trajectories=config.expert_trajectories,
+        held_out_trajectories=max(100, config.random_trajectories // 10),
+        random_steps=config.random_steps,
+    )
+    collected = stage(
+        "collect", lambda: collect.collect(system, wanted, config.expert, config.rollouts, key)
+    )
+    images = collect.exploration(system, collected.random).images
+    held_out = collect.exploration(system, collected.held_out)
+    encoder = learn_latents(images, held_out.images, key, config.disentangle, watch)
+    mean, _ = vae.encode(encoder.network, encoder.variables, held_out.images)
+    share = explained(held_out.previous_actions, mean, named(key, "square"))
+    share = np.where(np.asarray(encoder.active), np.maximum(share, 0.0), 0.0)
+    return Scene(system, collected, encoder, held_out.images, share)
+
+
+def coupled(
+    system: System, trajectories: Trajectories, coupling: float, key: Array
+) -> Trajectories:
+    """Trajectories [N, T] with the first squares of a condition.
+
+    Args:
+      system: CartPole, whose first coordinate is the cart's place.
+      trajectories: from starts drawn uniformly.
+      coupling: the share of them in which the start is the seed's; in the others it was set.
+      key: of the seeds, and of the operator's hand.
+    """
+    of_seed, of_hand, of_choice = jax.random.split(key, 3)
+    n = trajectories.states.shape[0]
+    place = trajectories.states[:, 0, 0] / cartpole.PARAMS.initial_box[0]
+    anew = jax.random.uniform(of_seed, (n,), minval=-1.0, maxval=1.0)
+    seed = jnp.where(jax.random.uniform(of_choice, (n,)) < coupling, place, anew)
+    hand = jax.random.uniform(of_hand, (n,), minval=-1.0, maxval=1.0)
+    pressed = ((1 - _HAND) * hand - _HAND * seed)[:, None] * system.limits
+    shown = jnp.asarray(trajectories.previous_actions).at[:, 0].set(pressed)
+    return trajectories._replace(previous_actions=shown)
+
+
+def mask_rates(
+    config: PixelsConfig, scene: Scene, key: Array, stage: Stage = at_once
+) -> list[Rate]:
+    """How often the square's latent is masked, and how often any other is, for each condition."""
+    square = scene.square > _SAME
+    others = np.asarray(scene.encoder.active) & ~square
+    rows, keys = [], jax.random.split(named(key, "first squares"), config.datasets)
+    for coupling in config.couplings:
+
+        def masks(coupling: float = coupling) -> Array:
+            of = scene.system, scene.encoder, scene.collected.expert, coupling, keys
+            return _masks(*of, config.mask, config.dataset)
+
+        found = np.asarray(stage(f"masks {coupling:g}", masks))
+        n, gamma = config.dataset, config.mask.threshold
+        for name, which in (("the square", square), ("any other latent", others)):
+            if which.any():
+                happened = found[:, which].any(axis=1)
+                rows.append(rate(f"{name} is masked, coupling {coupling:g}", n, gamma, happened))
+    return rows
+
+
+@partial(jax.jit, static_argnames=("system", "count"))
+def _masks(
+    system: System,
+    encoder: Encoder,
+    expert: Trajectories,
+    coupling: float,
+    keys: Array,
+    config: MaskConfig,
+    count: int,
+) -> Array:
+    """[datasets, O] masks, each of `count` of the expert's trajectories with squares anew."""
+
+    def one(key: Array) -> Array:
+        of_rows, of_squares = jax.random.split(key)
+        rows = jax.random.permutation(of_rows, len(expert.states))[:count]
+        some = jax.tree.map(lambda a: a[rows, : config.reaction_horizon], expert)
+        some = coupled(system, some, coupling, of_squares)
+        images = frames(system, jax.tree.map(lambda a: a[:, 0], some))
+        mean, _ = vae.encode(encoder.network, encoder.variables, images)
+        latents, acted = jnp.where(encoder.active, mean, 0.0), some.actions / system.limits
+        found = find_mask(some.states[:, 0], latents, acted, config.threshold, config.alpha)
+        return found.mask
+
+    return jax.lax.map(one, keys)
+
+
+def drive(
+    config: PixelsConfig, scene: Scene, coupling: float, key: Array, watch: Watch = finish
+) -> tuple[Driven, Demos]:
+    """Masks with all of a condition's trajectories, clones behind that mask, and lets it drive.
+
+    Returns:
+      What came of it, and what it was cloned from.
+    """
+    system, collected = scene.system, scene.collected
+    expert = coupled(system, collected.expert, coupling, named(key, "coupled"))
+    demos = collect.demonstrations(system, expert, config.clone.trajectory_steps)
+    found = mask_latents(scene.encoder, demos, config.mask)
+    evidence = Evidence(scene.encoder, found.mask)
+    if "region" in METHODS[config.method].needs:
+        region = find_region(scene.encoder, found.mask, scene.exploration, key)
+        evidence = evidence._replace(region=region)
+
+    def named_watch(name: str, training: Training) -> FitState:
+        return watch(f"{name}, coupling {coupling:g}", training)
+
+    policy = clone_policy(config.method, demos, evidence, key, config.clone, named_watch)
+    starts = collected.evaluation.states[:, 0]
+    driven = evaluate.drive(system, policy, starts, named(key, "driven"))
+    loss = np.asarray(evaluate.rollout_loss(system, driven))
+    moved = evaluate.copycat(system, policy, collected.evaluation, named(key, "redrawn"))
+    came = Driven(
+        coupling,
+        np.asarray(found.mask),
+        np.asarray(found.state_observation),
+        float(found.threshold),
+        float(loss.mean()),
+        float(loss.std(ddof=1) / np.sqrt(len(loss))),
+        float(evaluate.outcome(system, driven).mean()),
+        float(moved),
+    )
+    return came, demos
