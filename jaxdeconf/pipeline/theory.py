@@ -41,6 +41,7 @@ class Theory(NamedTuple):
     no_more_conservative: list[Rate]
     strictly_less: list[Rate]
     threshold: list[Rate]
+    pairs: list[Rate]
     pixels: list[Rate] = []  # noqa: RUF012
     driven: list[Driven] = []  # noqa: RUF012  a policy of each condition
     square: np.ndarray | None = None  # [O] R² of each latent that the previous action explains
@@ -79,6 +80,7 @@ def run(
         no_more_conservative=claims.no_more_conservative(of, measured, key),
         strictly_less=claims.strictly_less(of, measured, key),
         threshold=claims.threshold(of, measured, key, this.stage),
+        pairs=claims.pairs(of, key, this.stage),
     )
     strips: dict[str, np.ndarray] = {}
     if config.on_pixels:

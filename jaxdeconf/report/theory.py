@@ -16,6 +16,7 @@ CLAIMS = {
     "strictly_less": "The proposition: in a fork, only the intervention lets the observation be "
     "masked. How often it is",
     "pixels": "CartPole: the seed sets the start and the first square",
+    "pairs": "A cause that no state shows alone, by what is tested",
     "threshold": "What the threshold trades, and how many trajectories a dependence takes",
 }
 

@@ -18,8 +18,9 @@ from jax import Array
 
 from jaxdeconf import checks
 from jaxdeconf.independence import hoeffding_d, least_strength, p_value
+from jaxdeconf.independence.interaction import interaction_r, strongest
 from jaxdeconf.keys import named
-from jaxdeconf.mask import MaskConfig, effective_threshold, find_mask, potential_causes
+from jaxdeconf.mask import MaskConfig, effective_threshold, family, find_mask, potential_causes
 from jaxdeconf.theory import structural
 from jaxdeconf.theory.structural import (
     BUTTON,
@@ -29,6 +30,7 @@ from jaxdeconf.theory.structural import (
     HORIZON,
     MARK,
     OBSERVATIONS,
+    PAIR,
     STATES,
     Structure,
 )
@@ -40,6 +42,7 @@ _TIED = (300, 1000)  # N of systems with ties, which take R, too
 _BROKEN = 2500  # the most trajectories of systems that break an assumption
 _MOST, _COLUMNS = 1000, 64  # N, and columns, of the largest family of tests
 _POWER = 0.9
+_TOGETHER = ("states one at a time", "two states together")
 ALONE = ", family-wise alone"  # of a case: the threshold of the tests, without a fixed gamma
 
 
@@ -83,15 +86,16 @@ class ClaimsConfig:
     @property
     def tests(self) -> int:
         """In the family of one system."""
-        return STATES * (OBSERVATIONS + self.reaction_horizon)
+        return family(STATES, OBSERVATIONS + self.reaction_horizon, 1)
 
     def held(self, trajectories: int, tests: int) -> float:
         """The threshold that holds the family-wise error of so many tests."""
         return float(effective_threshold(0.0, self.alpha, trajectories, tests))
 
-    def gamma(self, trajectories: int) -> float:
-        """What Algorithm 1 calls dependent above."""
-        return max(self.threshold, self.held(trajectories, self.tests))
+    def gamma(self, trajectories: int, together: int = 1) -> float:
+        """What Algorithm 1 calls dependent above, of states alone or two together."""
+        tests = family(STATES, OBSERVATIONS + self.reaction_horizon, together)
+        return max(self.threshold, self.held(trajectories, tests))
 
     def gammas(self, trajectories: int) -> dict[str, float]:
         """That, and where a fixed gamma is above the tests' own threshold, that one, too."""
@@ -152,9 +156,15 @@ def draw_systems(config: ClaimsConfig, count: int, key: Array) -> tuple[Structur
     return jax.jit(jax.vmap(structural.draw_structure))(keys, jnp.asarray(strengths)), strengths
 
 
-@partial(jax.jit, static_argnames=("trajectories", "horizon", "tied"))
+@partial(jax.jit, static_argnames=("trajectories", "horizon", "tied", "together"))
 def _tests(
-    structures: Structure, keys: Array, coupling: float, trajectories: int, horizon: int, tied: bool
+    structures: Structure,
+    keys: Array,
+    coupling: float,
+    trajectories: int,
+    horizon: int,
+    tied: bool,
+    together: int,
 ) -> Statistics:
     def one(of: tuple[Structure, Array]) -> Statistics:
         structure, key = of
@@ -163,7 +173,10 @@ def _tests(
         if tied:
             mask = find_mask(states[:, 0], seen[:, 0], actions[:, :, None])
             return Statistics(mask.state_observation, mask.state_action[..., 0])
-        d = hoeffding_d(states[:, 0], jnp.concatenate([seen[:, 0], actions], axis=1))
+        columns = jnp.concatenate([seen[:, 0], actions], axis=1)
+        d = hoeffding_d(states[:, 0], columns)
+        if together == 2:
+            d = strongest(d, interaction_r(states[:, 0], columns))
         return Statistics(d[:, :OBSERVATIONS], d[:, OBSERVATIONS:])
 
     return jax.lax.map(one, (structures, keys))
@@ -176,6 +189,7 @@ def run_tests(
     horizon: int,
     coupling: float = 0.0,
     tied: bool = False,
+    together: int = 1,
 ) -> Statistics:
     """Draws a data set of each system and tests it.
 
@@ -186,6 +200,7 @@ def run_tests(
       horizon: H.
       coupling: as of `structural.simulate`.
       tied: whether columns are tied: `find_mask` then takes R for them.
+      together: states, as `find_mask` takes them.
     """
     count = len(structures.spread)
     keys = jax.random.split(named(key, "structural data"), count)
@@ -193,7 +208,7 @@ def run_tests(
     for begin in range(0, count, _CHUNK):  # one shape, one compilation
         some = np.arange(begin, begin + _CHUNK) % count
         part = jax.tree.map(lambda a, some=some: a[some], structures)
-        tests = _tests(part, keys[some], coupling, trajectories, horizon, tied)
+        tests = _tests(part, keys[some], coupling, trajectories, horizon, tied, together)
         found.append(jax.tree.map(lambda a, begin=begin: a[: count - begin], tests))
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)
 
@@ -243,6 +258,34 @@ def _broken(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
         for name, found in stage(f"broken {n}", tests).items():
             gamma = config.gamma(n)
             yield rate(name, n, gamma, found.masked(gamma)[:, CAUSE])
+
+
+def pairs(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> list[Rate]:
+    """A cause that only two states show is kept where states are tested together, too.
+
+    How often it is masked, and how often the mark is, of strong edges; and the same where single
+    states show the cause.
+    """
+    rows, strong = [], replace(config, strengths=config.strengths[-1:])
+    for n in (n for n in config.trajectories if n <= _BROKEN):
+
+        def tests(n: int = n) -> dict[str, Statistics]:
+            structures, _ = draw_systems(strong, config.count(n, config.broken_systems), key)
+            systems = {"shown alone": structures, PAIR: structural.broken(structures)[PAIR]}
+            test = partial(run_tests, trajectories=n, horizon=config.reaction_horizon)
+            data = named(jax.random.fold_in(key, n), "pairs")
+            return {
+                f"{name}, {words}": test(of, data, together=together)
+                for name, of in systems.items()
+                for together, words in enumerate(_TOGETHER, start=1)
+            }
+
+        for name, found in stage(f"pairs {n}", tests).items():
+            gamma = config.gamma(n, 1 + _TOGETHER.index(name.rpartition(", ")[2]))
+            masked = found.masked(gamma)
+            rows.append(rate(f"the cause is masked: {name}", n, gamma, masked[:, CAUSE]))
+            rows.append(rate(f"the mark is masked: {name}", n, gamma, masked[:, MARK]))
+    return rows
 
 
 def _moving(config: ClaimsConfig, structures: Structure) -> np.ndarray:

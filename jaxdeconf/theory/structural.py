@@ -28,6 +28,7 @@ STATES, OBSERVATIONS = 3, 4
 CAUSE, BYSTANDER, FORK, MARK = range(OBSERVATIONS)
 HORIZON = 3  # steps within which a system that breaks nothing reacts
 BUTTON = "A4: an action of two values"
+PAIR = "only a pair of states shows the cause"
 _WAVES = 3
 _EDGE = 3**0.5  # uniform on [-_EDGE, _EDGE] has variance 1
 # Where the functions of each kind of edge are among a system's.
@@ -151,7 +152,7 @@ def broken(structures: Structure) -> dict[str, Structure]:
         ),
         BUTTON: structures._replace(button=zeros + 1.5),
         "no density: a constant initial state": structures._replace(spread=zeros),
-        "only a pair of states shows the cause": structures._replace(pair=zeros + 1.0),
+        PAIR: structures._replace(pair=zeros + 1.0),
     }
 
 

@@ -45,7 +45,7 @@ ALONE = {
     # Of a dataset of one's own.
     *("linear start", "check", "told", "stability", "retention", "written"),
     # Of the theory's experiments.
-    *("structures", "structural data", "normal columns"),
+    *("structures", "structural data", "normal columns", "pairs"),
     *("square", "first squares", "coupled", "driven", "redrawn"),
 }
 

@@ -10,7 +10,7 @@ import pytest
 from jaxdeconf.mask import find_mask
 from jaxdeconf.theory import claims, structural
 from jaxdeconf.theory.claims import ClaimsConfig, Statistics, rate
-from jaxdeconf.theory.structural import BUTTON, CAUSE, FORK, MARK, OBSERVATIONS, STATES
+from jaxdeconf.theory.structural import BUTTON, CAUSE, FORK, MARK, OBSERVATIONS, PAIR, STATES
 
 KEY = jax.random.key(0)
 CONFIG = ClaimsConfig(
@@ -82,6 +82,17 @@ def test_strong_causes_are_kept_and_a_fork_is_masked_by_the_intervention_alone(m
     for name in ("shows the seed", "the mark", "shows a state that moves no action"):
         assert more[name].rate > 0.9
     assert more["the mark"].n == int(measured[300].natural.masked(CONFIG.gamma(300))[:, MARK].sum())
+
+
+def test_two_states_together_keep_the_cause_that_none_shows_alone():
+    found = cases(claims.pairs(replace(CONFIG, broken_systems=30), KEY))
+    assert found[f"the cause is masked: {PAIR}, states one at a time"].rate > 0.9
+    assert found[f"the cause is masked: {PAIR}, two states together"].rate < 0.3
+    for name, row in found.items():
+        if "the mark" in name:
+            assert row.rate > 0.9, name
+        elif "shown alone" in name:
+            assert row.rate < 0.3, name
 
 
 def test_the_threshold_holds_its_error_and_its_power(measured):
