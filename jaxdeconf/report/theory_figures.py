@@ -134,7 +134,8 @@ def pixels(found: Theory, _: Pictures) -> Figure | None:
     left.set_xticks(range(count), [subscript("o", latent + 1) for latent in range(count)])
     left.set_ylabel("largest D with a state")
     rates = [row for row in found.pixels if row.case.startswith("the square")]
-    _bars(middle, names, [row.rate for row in rates], [row.interval for row in rates])
+    conditions = [_condition(float(row.case.split()[-1])) for row in rates]
+    _bars(middle, conditions, [row.rate for row in rates], [row.interval for row in rates])
     middle.set_ylabel("the square's latent is masked")
     losses = [one.loss for one in found.driven]
     spans = [(one.loss - one.error, one.loss + one.error) for one in found.driven]

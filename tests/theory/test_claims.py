@@ -46,12 +46,12 @@ def test_a_rate_of_nothing_is_unknown():
 
 def test_what_is_masked_is_what_find_mask_masks():
     structures, strengths = claims.draw_systems(CONFIG, 3, KEY)
-    tests = claims.run_tests(structures, KEY, 300, 2)
+    tests = claims.run_tests(structures, KEY, 300, 3)
     gamma = CONFIG.gamma(300)
     keys = jax.random.split(claims.named(KEY, "structural data"), 3)
     for place in range(3):
         one = jax.tree.map(lambda part, place=place: part[place], structures)
-        noise = structural.draw_noise(keys[place], 300, 2)
+        noise = structural.draw_noise(keys[place], 300, 3)
         states, seen, actions = structural.simulate(one, noise)
         mask = find_mask(states[:, 0], seen[:, 0], actions[:, :, None], gamma, None)
         np.testing.assert_array_equal(tests.masked(gamma)[place], mask.mask)
@@ -61,9 +61,9 @@ def test_what_is_masked_is_what_find_mask_masks():
 
 def test_the_parts_of_a_batch_are_its_systems(monkeypatch):
     structures, _ = claims.draw_systems(CONFIG, 3, KEY)
-    whole = claims.run_tests(structures, KEY, 300, 2)
+    whole = claims.run_tests(structures, KEY, 300, 3)
     monkeypatch.setattr(claims, "_CHUNK", 2)
-    for one, other in zip(whole, claims.run_tests(structures, KEY, 300, 2), strict=True):
+    for one, other in zip(whole, claims.run_tests(structures, KEY, 300, 3), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
 
