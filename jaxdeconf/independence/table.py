@@ -3,6 +3,7 @@
 Shapes: N samples, S columns of x, P columns of y, V of either.
 """
 
+from functools import partial
 from itertools import product
 
 import jax
@@ -31,10 +32,14 @@ def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
     with jax.enable_x64(True):
         if platform == "cpu" and not is_traced(xs, ys):
             found = counted(rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys)), statistic)
-            # By NumPy, which takes a tenth of the time of two dispatched operations.
-            return jnp.asarray(np.asarray(found, dtype).reshape(shape))
-        found = from_values(jnp.asarray(xs), jnp.asarray(ys), statistic, platform)
-        return found.astype(dtype).reshape(shape)
+        else:
+            found = from_values(jnp.asarray(xs), jnp.asarray(ys), statistic, platform)
+        return _formed(found, dtype, shape)
+
+
+@partial(jax.jit, static_argnames=("dtype", "shape"))  # one call instead of two, of 0.1 ms each
+def _formed(found: Array, dtype: jnp.dtype, shape: tuple[int, ...]) -> Array:
+    return found.astype(dtype).reshape(shape)
 
 
 def both_columns(x: ArrayLike, y: ArrayLike) -> tuple[Array | np.ndarray, Array | np.ndarray]:
