@@ -27,7 +27,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxdeconf.independence.null import quantile
-from jaxdeconf.independence.ranks import Ranks, columns, rank_on_device
+from jaxdeconf.independence.ranks import Ranks, rank_on_device
+from jaxdeconf.independence.table import both_columns
 from jaxdeconf.independence.ties import FEW, log_survival
 
 HARMONICS = 4  # two turns of an angle that is uniform on the circle
@@ -53,9 +54,7 @@ def interaction_r(x: ArrayLike, y: ArrayLike) -> Array:
       [S (S - 1) / 2, P], pairs of columns of x in the order of `pairs_of`; types and errors as
       `hoeffding_d`.
     """
-    xs, ys = columns("x", x), columns("y", y)
-    if xs.shape[1] != ys.shape[1]:
-        raise ValueError(f"y: expected {xs.shape[1]} samples, as x has, got {ys.shape[1]}")
+    xs, ys = both_columns(x, y)
     dtype, pairs = jnp.result_type(float), pairs_of(len(xs))
     if not len(pairs):
         return jnp.zeros((0, len(ys)))
