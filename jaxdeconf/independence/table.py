@@ -21,7 +21,7 @@ from jaxdeconf.independence.levels import (
     levels_of,
 )
 from jaxdeconf.independence.pairs import Statistic, from_ranks, from_values
-from jaxdeconf.independence.ranks import Ranks, columns, rank_on_host
+from jaxdeconf.independence.ranks import Ranks, columns, rank_on_device, rank_on_host
 
 
 def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
@@ -30,11 +30,19 @@ def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
     shape, dtype = np.shape(x)[1:] + np.shape(y)[1:], jnp.result_type(float)
     platform = jax.default_backend()
     with jax.enable_x64(True):
-        if platform == "cpu" and not is_traced(xs, ys):
+        if is_traced(xs, ys):
+            found = from_values(jnp.asarray(xs), jnp.asarray(ys), statistic, platform)
+        elif platform == "cpu":
             found = counted(rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys)), statistic)
         else:
-            found = from_values(jnp.asarray(xs), jnp.asarray(ys), statistic, platform)
+            found = from_ranks(_ranked(xs), _ranked(ys), statistic, platform)
         return _formed(found, dtype, shape)
+
+
+def _ranked(values: Array | np.ndarray) -> Ranks:
+    """On the device; the counts of tied columns, the larger program, are compiled only for them."""
+    ranks, tied = jax.jit(rank_on_device)(jnp.asarray(values))
+    return ranks if tied else ranks._replace(first=None, last=None)
 
 
 @partial(jax.jit, static_argnames=("dtype", "shape"))  # one call instead of two, of 0.1 ms each

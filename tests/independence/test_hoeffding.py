@@ -43,6 +43,19 @@ def test_golden_on_device(case):
         np.testing.assert_allclose(jax.jit(hoeffding_d)(x, y), case["D"], atol=1e-13, rtol=0)
 
 
+def test_a_device_ranks_its_own_values_and_compiles_ties_only_where_there_are(monkeypatch):
+    """The layout and the way of a GPU, on whatever runs the tests."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    rng = np.random.default_rng(4)
+    x, y = rng.normal(size=(2, 30, 2))
+    before = pairs.from_ranks._cache_size(), pairs.from_values._cache_size()
+    for values in (y, np.round(y)):
+        want = [[midrank_d(a, b) for b in values.T] for a in x.T]
+        np.testing.assert_allclose(hoeffding_d(x, values), want, atol=1e-7)
+    assert pairs.from_ranks._cache_size() == before[0] + 2
+    assert pairs.from_values._cache_size() == before[1]
+
+
 @pytest.mark.parametrize("n", [5, 6, 7, 8])
 def test_brute_force_quintuples(n):
     rng = np.random.default_rng(n)
