@@ -6,7 +6,9 @@ of one system. Shapes: B systems, S state, O observation, H reaction horizon, P 
 """
 
 import math
+import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -204,13 +206,25 @@ def run_tests(
     """
     count = len(structures.spread)
     keys = jax.random.split(named(key, "structural data"), count)
-    found = []
-    for begin in range(0, count, _CHUNK):  # one shape, one compilation
-        some = np.arange(begin, begin + _CHUNK) % count
-        part = jax.tree.map(lambda a, some=some: a[some], structures)
-        tests = _tests(part, keys[some], coupling, trajectories, horizon, tied, together)
-        found.append(jax.tree.map(lambda a, begin=begin: a[: count - begin], tests))
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)
+
+    def some(chunk: np.ndarray) -> Statistics:
+        part = jax.tree.map(lambda a: a[chunk], structures)
+        return _tests(part, keys[chunk], coupling, trajectories, horizon, tied, together)
+
+    return _in_chunks(some, count)
+
+
+def _in_chunks(compute: Callable[[np.ndarray], Any], count: int) -> Any:
+    """A pytree of arrays [count, ...] of what is computed for numbers [_CHUNK] below count.
+
+    A program runs its systems one after another, so each core has a chunk of its own; the first is
+    computed alone, and compiles for all.
+    """
+    chunks = [np.arange(begin, begin + _CHUNK) % count for begin in range(0, count, _CHUNK)]
+    found = [jax.block_until_ready(compute(chunks[0]))]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found += pool.map(lambda chunk: jax.block_until_ready(compute(chunk)), chunks[1:])
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
 
 
 def measure(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> dict[int, Measured]:
@@ -366,7 +380,9 @@ def _of_tests(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
 
         def pairs(n: int = n, strength: float = strength) -> Array:
             of = named(jax.random.fold_in(key, n), "normal columns")
-            return _normal_columns(of, strength, n, config.null_systems)
+            keys = jax.random.split(of, config.null_systems)
+            some = partial(_normal_columns, strength=strength, trajectories=n)
+            return _in_chunks(lambda chunk: some(keys[chunk]), len(keys))
 
         d = np.asarray(stage(f"normal columns {n}", pairs))
         for some in columns:
@@ -383,9 +399,9 @@ def _of_tests(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
         yield rate(name, n, gamma, seen, tests=config.tests, predicted=_POWER)
 
 
-@partial(jax.jit, static_argnames=("trajectories", "count"))
-def _normal_columns(key: Array, strength: float, trajectories: int, count: int) -> Array:
-    """[count, S, 1 + columns] D; the first column depends on the first state, no other on any."""
+@partial(jax.jit, static_argnames="trajectories")
+def _normal_columns(keys: Array, strength: float, trajectories: int) -> Array:
+    """[B, S, 1 + columns] D; the first column depends on the first state, no other on any."""
 
     def one(key: Array) -> Array:
         drawn = jax.random.normal(key, (trajectories, STATES + 1 + _COLUMNS))
@@ -393,4 +409,4 @@ def _normal_columns(key: Array, strength: float, trajectories: int, count: int) 
         first = strength * states[:, 0] + jnp.sqrt(1 - strength**2) * other[:, 0]
         return hoeffding_d(states, other.at[:, 0].set(first))
 
-    return jax.lax.map(one, jax.random.split(key, count))
+    return jax.lax.map(one, keys)

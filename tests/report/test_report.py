@@ -437,8 +437,8 @@ def test_what_is_saved_is_loaded(make, brief, tmp_path: Path):
     run.policies["Gone"].rollout_loss.per_epoch[1][1] = math.inf
     stored.save(tmp_path, run, brief)
     loaded, shown = stored.load(tmp_path)
-    # On disk a number in a list that is not finite is null, and stays so.
-    run.policies["Gone"].rollout_loss.per_epoch[1][1] = None
+    # On disk a number that is not finite is null, and comes back as NaN.
+    run.policies["Gone"].rollout_loss.per_epoch[1][1] = math.nan
     run.policies["Masked"] = run.policies["Masked"]._replace(
         rollout_loss=loaded.policies["Masked"].rollout_loss._replace(mean=math.nan, std=math.nan)
     )

@@ -12,6 +12,7 @@ from jaxdeconf.pipeline.results import Judged, JudgedExpert, Losses, Row
 from jaxdeconf.pipeline.store import StoreError, WriteError
 from jaxdeconf.sweep.grid import Axis
 from jaxdeconf.sweep.log import Log, Sweep, read_sweep, require_same, write_sweep
+from jaxdeconf.version import __version__
 
 AXES = Axis("disentangle.network.channels", ((4, 8), (8, 16))), Axis("mask.alpha", (None, 0.1))
 SWEEP = Sweep(Config(methods=("Masked",)), AXES, 2)
@@ -81,7 +82,7 @@ def test_a_damaged_row_is_named(tmp_path, line):
         Log(tmp_path).rows()
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"jaxdeconf": "0.3.0"}'])
+@pytest.mark.parametrize("text", ["", "[]", json.dumps({"jaxdeconf": __version__})])
 def test_a_damaged_plan_is_named(tmp_path, text):
     (tmp_path / "sweep.json").write_text(text)
     with pytest.raises(StoreError, match=r"sweep\.json: not a sweep of jaxdeconf"):
