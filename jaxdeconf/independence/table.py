@@ -36,7 +36,7 @@ def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
             found = counted(rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys)), statistic)
         else:
             found = from_ranks(_ranked(xs), _ranked(ys), statistic, platform)
-        return _formed(found, dtype, shape)
+        return formed(found, dtype, shape)
 
 
 def _ranked(values: Array | np.ndarray) -> Ranks:
@@ -46,7 +46,8 @@ def _ranked(values: Array | np.ndarray) -> Ranks:
 
 
 @partial(jax.jit, static_argnames=("dtype", "shape"))  # one call instead of two, of 0.1 ms each
-def _formed(found: Array, dtype: jnp.dtype, shape: tuple[int, ...]) -> Array:
+def formed(found: Array, dtype: jnp.dtype, shape: tuple[int, ...]) -> Array:
+    """A table of statistics as it is returned."""
     return found.astype(dtype).reshape(shape)
 
 

@@ -34,7 +34,7 @@ from jax.typing import ArrayLike
 from jaxdeconf.independence.null import quantile
 from jaxdeconf.independence.pairs import Statistic
 from jaxdeconf.independence.ranks import Ranks, rank_on_device, rank_on_host
-from jaxdeconf.independence.table import all_pairs, both_columns, chosen, counted, is_traced
+from jaxdeconf.independence.table import all_pairs, both_columns, chosen, counted, formed, is_traced
 
 # A column counts as tied where the chance that two samples share their value is above that of 333
 # equally frequent values: one of bytes is. Below, ties move D by less than a tenth of its standard
@@ -68,7 +68,7 @@ def with_ties(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> tuple[Array, 
     with jax.enable_x64(True):
         ranks = rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys))
         d, tied = of_ranks(*ranks, statistic)
-        return jnp.asarray(d, dtype).reshape(shape), jnp.asarray(tied).reshape(shape)
+        return formed(d, dtype, shape), jnp.asarray(tied.reshape(shape))
 
 
 def of_ranks(x: Ranks, y: Ranks, statistic: Statistic) -> tuple[Array | np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from jaxdeconf.report import words
 EXPERT, INK, FAINT = "#555555", "#222222", "#8A8A8A"
 # Okabe & Ito's first, then what stays apart from those before it under each colour blindness
 # (Machado et al. 2009; at least 13 in CIELAB). From the eighth on, the marker changes too.
-_PALETTE = (
+PALETTE = (
     *("#D55E00", "#0072B2", "#009E73", "#B55D92", "#E69F00", "#4B0082", "#00C2D1"),
     *("#661100", "#9A8CE0", "#117733", "#1B3A5C", "#999933", "#7B3F00", "#222222"),
 )
@@ -40,7 +40,7 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
     drawn = {}
     for name in found:
         place = places.index(name)
-        color, marker = _PALETTE[place % len(_PALETTE)], _MARKERS[place // 7 % len(_MARKERS)]
+        color, marker = PALETTE[place % len(PALETTE)], _MARKERS[place // 7 % len(_MARKERS)]
         drawn[name] = Look(color, marker, words.kind(name) == "control")
     return drawn
 

@@ -11,10 +11,10 @@ from jaxdeconf.owndata.check import Check
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.owndata.cost import Cost
 from jaxdeconf.owndata.results import Found
-from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.results import Pictures, load
 from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
+from jaxdeconf.report.about import about
 from jaxdeconf.report.words import fixed, number, percent, subscript
 
 _LEAKS, _LOST = 0.05, 0.95  # R² that written frames may tell; share of a state's that they must
@@ -44,7 +44,7 @@ def write_report(directory: Path, found: Found, pictures: Pictures) -> None:
         page.heading("Latents"),
         *_latents(found),
         page.heading("This masking"),
-        *_about(found),
+        *about(found),
     ]
     page.write(directory / "report.html", f"{found.config['demos']}, masked", body)
 
@@ -221,12 +221,3 @@ def _latents(found: Found) -> Iterator[str]:
     yield page.table(head, rows, note)
     rows = [[name, words.listing(latents)] for name, latents in found.elsewhere.items()]
     yield page.table(["at", "Algorithm 1 masks"], rows, kind="words")
-
-
-def _about(found: Found) -> Iterator[str]:
-    seconds = {**found.seconds, "total": sum(found.seconds.values())}
-    yield page.table(["stage", "seconds"], [[stage, f"{s:.1f}"] for stage, s in seconds.items()])
-    about = {**found.versions, "peak memory": f"{found.peak_memory_mb:.0f} MB"}
-    yield page.table(["made with", ""], list(about.items()), kind="words")
-    fields = [[name, words.shown(value)] for name, value in words.leaves(to_plain(found.config))]
-    yield page.folded("Config", page.table(["field", "value"], fields, kind="words"))

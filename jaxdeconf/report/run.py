@@ -12,6 +12,7 @@ from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline.results import FILE, Losses, Pictures, Results, load
 from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
+from jaxdeconf.report.about import about
 from jaxdeconf.report.words import fixed, loss, number, percent, subscript
 
 
@@ -163,18 +164,12 @@ def _cells(tests: np.ndarray, gamma: float) -> Iterator[page.Cell]:
 
 
 def _run(results: Results) -> Iterator[str]:
-    seconds = {**results.seconds, "total": sum(results.seconds.values())}
-    yield page.table(["stage", "seconds"], [[stage, f"{s:.1f}"] for stage, s in seconds.items()])
-    about = {
-        **results.versions,
-        "peak memory": f"{results.peak_memory_mb:.0f} MB",
+    reconstruction = {
         "reconstruction error, nuisance's pixels": number(results.reconstruction.nuisance),
         "reconstruction error, elsewhere": number(results.reconstruction.elsewhere),
     }
     note = "Reconstruction error: summed squared error a frame, colours in [0, 1]."
-    yield page.table(["made with", ""], list(about.items()), note, "words")
-    fields = [[name, words.shown(value)] for name, value in words.leaves(results.config)]
-    yield page.folded("Config", page.table(["field", "value"], fields, kind="words"))
+    return about(results, reconstruction, note)
 
 
 def _seeds(runs: Sequence[Results]) -> Iterator[str]:

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.results import Pictures
 from jaxdeconf.pipeline.theory import Theory
 from jaxdeconf.report import canvas, page, words
+from jaxdeconf.report.about import about
 from jaxdeconf.theory.claims import Rate
 
 CLAIMS = {
@@ -81,9 +81,4 @@ def _about(found: Theory) -> Iterator[str]:
     if policies:
         head = ["not intervened", "masked", "rollout loss", "survival", "copycat"]
         yield page.table(head, policies, "Mean and standard error over rollouts.")
-    seconds = {**found.seconds, "total": sum(found.seconds.values())}
-    yield page.table(["stage", "seconds"], [[stage, f"{s:.1f}"] for stage, s in seconds.items()])
-    about = {**found.versions, "peak memory": f"{found.peak_memory_mb:.0f} MB"}
-    yield page.table(["made with", ""], list(about.items()), kind="words")
-    fields = [[name, words.shown(value)] for name, value in words.leaves(to_plain(found.config))]
-    yield page.folded("Config", page.table(["field", "value"], fields, kind="words"))
+    yield from about(found)

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 
 from jaxdeconf.pipeline.results import Pictures
 from jaxdeconf.pipeline.theory import Theory
-from jaxdeconf.report.canvas import FAINT, INK
+from jaxdeconf.report.canvas import FAINT, INK, PALETTE
 from jaxdeconf.report.figures import LOSS, contact_sheet
 from jaxdeconf.report.words import subscript
 from jaxdeconf.theory.claims import ALONE, Rate
 
-_BLUE, _ORANGE, _GREEN, _PURPLE = "#0072B2", "#D55E00", "#009E73", "#B55D92"
-_COLORS = (_BLUE, _ORANGE, _GREEN, _PURPLE, "#E69F00", "#4B0082", "#00C2D1", "#661100")
+_BLUE, _GREEN = PALETTE[1:3]
+_COLORS = (_BLUE, PALETTE[0], *PALETTE[2:8])
 
 
 def by_case(rows: Iterable[Rate]) -> dict[str, list[Rate]]:
@@ -149,7 +149,8 @@ def _bars(axes: Axes, names: list[str], values: list[float], spans: list[tuple])
         return
     errors = np.abs(np.array(spans).T - values)
     axes.bar(range(len(values)), values, 0.6, color=_BLUE, yerr=errors, ecolor=INK)
-    axes.set_xticks(range(len(values)), names)
+    stacked = ["\n".join(name.rsplit(" ", 1)) for name in names]  # or they would overlap
+    axes.set_xticks(range(len(values)), stacked, fontsize=7.5)
 
 
 def _condition(coupling: float) -> str:

@@ -44,7 +44,7 @@ _TIED = (300, 1000)  # N of systems with ties, which take R, too
 _BROKEN = 2500  # the most trajectories of systems that break an assumption
 _MOST, _COLUMNS = 1000, 64  # N, and columns, of the largest family of tests
 _POWER = 0.9
-_TOGETHER = ("states one at a time", "two states together")
+_TOGETHER = {"states one at a time": 1, "two states together": 2}
 ALONE = ", family-wise alone"  # of a case: the threshold of the tests, without a fixed gamma
 
 
@@ -283,22 +283,23 @@ def pairs(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> list[Rate
     rows, strong = [], replace(config, strengths=config.strengths[-1:])
     for n in (n for n in config.trajectories if n <= _BROKEN):
 
-        def tests(n: int = n) -> dict[str, Statistics]:
+        def tests(n: int = n) -> dict[str, dict[str, Statistics]]:
             structures, _ = draw_systems(strong, config.count(n, config.broken_systems), key)
             systems = {"shown alone": structures, PAIR: structural.broken(structures)[PAIR]}
             test = partial(run_tests, trajectories=n, horizon=config.reaction_horizon)
             data = named(jax.random.fold_in(key, n), "pairs")
             return {
-                f"{name}, {words}": test(of, data, together=together)
+                name: {word: test(of, data, together=count) for word, count in _TOGETHER.items()}
                 for name, of in systems.items()
-                for together, words in enumerate(_TOGETHER, start=1)
             }
 
         for name, found in stage(f"pairs {n}", tests).items():
-            gamma = config.gamma(n, 1 + _TOGETHER.index(name.rpartition(", ")[2]))
-            masked = found.masked(gamma)
-            rows.append(rate(f"the cause is masked: {name}", n, gamma, masked[:, CAUSE]))
-            rows.append(rate(f"the mark is masked: {name}", n, gamma, masked[:, MARK]))
+            for word, count in _TOGETHER.items():
+                gamma = config.gamma(n, count)
+                masked = found[word].masked(gamma)
+                case = f"is masked: {name}, {word}"
+                rows.append(rate(f"the cause {case}", n, gamma, masked[:, CAUSE]))
+                rows.append(rate(f"the mark {case}", n, gamma, masked[:, MARK]))
     return rows
 
 
