@@ -15,6 +15,9 @@ from jax import Array
 from jaxdeconf.independence.counts import Grid, count_below, plan, take
 from jaxdeconf.independence.ranks import Ranks, rank_on_device, reverse_ties
 
+# Samples of a tie group, at most, that meet each other one by one: cheaper than three more counts.
+SMALL = 8
+
 
 class Below(NamedTuple):
     """What lies below each sample, float64, samples tied with it counted half."""
@@ -41,26 +44,33 @@ class Statistic(NamedTuple):
 def from_values(x: Array, y: Array, statistic: Statistic, platform: str) -> Array:
     """[S, P] float64 of x [S, N] and y [P, N], ranked on the device."""
     (ranks_x, tied_x), (ranks_y, tied_y) = rank_on_device(x), rank_on_device(y)
-    result = jax.lax.cond(
-        tied_x | tied_y,
-        lambda: from_ranks(ranks_x, ranks_y, statistic, platform),
-        lambda: from_ranks(
-            ranks_x._replace(first=None, last=None),
-            ranks_y._replace(first=None, last=None),
-            statistic,
-            platform,
-        ),
+    tied = jnp.maximum(tied_x, tied_y)
+    untied = (ranks._replace(first=None, last=None) for ranks in (ranks_x, ranks_y))
+    branches = (
+        partial(from_ranks, *untied, statistic, platform),
+        partial(from_ranks, ranks_x, ranks_y, statistic, platform, small=True),
+        partial(from_ranks, ranks_x, ranks_y, statistic, platform),
     )
+    result = jax.lax.switch((tied > 1) + (tied > SMALL).astype(jnp.int32), branches)
     missing = jnp.isnan(x).any(axis=1)[:, None] | jnp.isnan(y).any(axis=1)[None, :]
     return jnp.where(missing, jnp.nan, result)
 
 
-@partial(jax.jit, static_argnames=("statistic", "platform"))
-def from_ranks(x: Ranks, y: Ranks, statistic: Statistic, platform: str) -> Array:
-    """[S, P] float64: 30 times the statistic of each pair of S and P variables."""
+@partial(jax.jit, static_argnames=("statistic", "platform", "small"))
+def from_ranks(
+    x: Ranks, y: Ranks, statistic: Statistic, platform: str, small: bool = False
+) -> Array:
+    """[S, P] float64: 30 times the statistic of each pair of S and P variables.
+
+    Args:
+      x, y: the variables.
+      statistic: which.
+      platform: the program's.
+      small: whether ties are few, groups of at most `SMALL` samples.
+    """
     (rows, n), cols = x.rank.shape, y.rank.shape[0]
     grid = plan(n, rows * cols, platform)
-    views_x, views_y = arrange(x, grid), arrange(y, grid)
+    views_x, views_y = arrange(x, grid, not small), arrange(y, grid, not small)
 
     def values(row: Array, col: Array) -> Array:
         below = _below(views_x, views_y, row, col, grid, statistic.weighted)
@@ -108,20 +118,21 @@ class Views(NamedTuple):
     @property
     def orders(self) -> int:
         """O."""
-        return 1 if self.first is None else 2
+        return 1 if self.first is None else len(self.order) // len(self.first)
 
     def under(self, order: Array, variable: Array) -> Array:
         """Where the variable stands under an order; a slice of an order would be copied."""
         return order * (len(self.rank) // self.orders) + variable
 
 
-def arrange(ranks: Ranks, grid: Grid) -> Views:
+def arrange(ranks: Ranks, grid: Grid, both_orders: bool = True) -> Views:
     """Pads with samples above all others in both variables, which count for nobody."""
     variables, n = ranks.rank.shape
     rest = jnp.arange(n, grid.size, dtype=jnp.int32)
     rest = jnp.broadcast_to(rest, (variables, grid.size - n))
     ranks = jax.tree.map(lambda part: jnp.concatenate([part, rest], axis=1), ranks)
-    orders = [ranks] if ranks.first is None else [ranks, reverse_ties(ranks)]
+    one = ranks.first is None or not both_orders
+    orders = [ranks] if one else [ranks, reverse_ties(ranks)]
     rank = jnp.concatenate([jnp.asarray(view.rank) for view in orders])
     return Views(
         order=jnp.concatenate([in_blocks(view.order, grid) for view in orders]),
@@ -150,9 +161,14 @@ def _below(xs: Views, ys: Views, row: Array, col: Array, grid: Grid, weighted: b
         place = grid.place(pair, p)
         first_y, last_y = (take(grid.tile(ends[col]), place) for ends in (ys.first, ys.last))
     weights = first_y + last_y if weighted else None
-    if xs.first is None and ys.first is None:
+    if xs.orders * ys.orders == 1:
         digits = read(xs.digit, ys.order, row, col, grid)
         both, y_of_both = count_below(p, digits, grid, weights)
+        if xs.first is not None or ys.first is not None:
+            opposite = read(xs.rank, ys.order, row, col, grid)
+            groups = _Groups(position, p, first_x, last_x, first_y, last_y, opposite)
+            counts, weight = _corrections(groups, weights, grid)
+            both, y_of_both = both + counts, y_of_both + weight
     else:
         # Reversing the ties takes a sample to its mirror image in the group, and back.
         own = grid.place(pair, position), grid.place(pair, first_x + last_x - position)
@@ -166,6 +182,59 @@ def _below(xs: Views, ys: Views, row: Array, col: Array, grid: Grid, weighted: b
         tied_x=half * (last_x - first_x),
         tied_y=half * (last_y - first_y),
     )
+
+
+class _Groups(NamedTuple):
+    """Of each sample [T, K, W], in x-order: where it stands, and from where to where its ties."""
+
+    x: Array
+    y: Array
+    first_x: Array
+    last_x: Array
+    first_y: Array
+    last_y: Array
+    opposite: Array  # in y-order: where the sample stands in x
+
+
+def _corrections(of: _Groups, weights: Array | None, grid: Grid) -> tuple[Array, Array]:
+    """What midranks add to the counts and weights under one order of the ties.
+
+    A sample tied in one variable counts half where it is below in the other, one tied in both a
+    quarter; under an order it counted in full or not at all. Groups are small: it meets each of its
+    own, one after the other.
+    """
+    pair, _ = grid.block_numbers()
+
+    def next_in(first: Array, last: Array, own: Array, k: Array) -> tuple[Array, Array]:
+        """The k-th after a sample in its group, around; and whether there is one."""
+        size = last - first + 1
+        there = k < size
+        other = jnp.where(own + k > last, own + k - size, own + k)
+        return jnp.where(there, other, own), there
+
+    def in_x(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, there = next_in(of.first_x, of.last_x, of.x, k)
+        place = grid.place(pair, x)
+        y = take(of.y, place)
+        tied = (of.first_y <= y) & (y <= of.last_y)
+        share = jnp.where(tied, 0.25, jnp.where(y < of.y, 0.5, 0.0)) - ((y < of.y) & (x < of.x))
+        return add(sums, jnp.where(there, share, 0.0), lambda: take(weights, place))
+
+    def in_y(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        y, there = next_in(of.first_y, of.last_y, of.y, k)
+        x = take(of.opposite, grid.place(pair, y))
+        there = there & ((x < of.first_x) | (of.last_x < x))  # else it was met in x
+        share = jnp.where(x < of.x, 0.5, 0.0) - ((x < of.x) & (y < of.y))
+        return add(sums, jnp.where(there, share, 0.0), lambda: weights)
+
+    def add(sums: tuple[Array, Array], share: Array, weight: Callable[[], Array | None]):
+        counts, weighed = sums
+        return counts + share, weighed if weights is None else weighed + share * weight()
+
+    zeros = jnp.zeros(of.y.shape, jnp.float64)
+    sums = zeros, zeros if weights is not None else jnp.zeros((), jnp.float64)
+    most_x, most_y = (of.last_x - of.first_x).max() + 1, (of.last_y - of.first_y).max() + 1
+    return jax.lax.fori_loop(1, most_y, in_y, jax.lax.fori_loop(1, most_x, in_x, sums))
 
 
 def _tied_counts(

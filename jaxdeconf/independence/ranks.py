@@ -137,7 +137,7 @@ def _host_key(values: np.ndarray) -> np.ndarray:
 
 
 def rank_on_device(values: Array) -> tuple[Ranks, Array]:
-    """Ranks of `values` [V, N] and if any are tied, traceable; call under 64-bit types."""
+    """Ranks of `values` [V, N] and the most that are tied, traceable; call under 64-bit types."""
     n = values.shape[1]
     index = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32), values.shape)
     key = _integer_key(values)
@@ -154,7 +154,7 @@ def rank_on_device(values: Array) -> tuple[Ranks, Array]:
     last = jnp.where(jnp.concatenate([~same, edge], axis=1), index, n - 1)
     first = jax.lax.cummax(first, axis=1)
     last = jax.lax.cummin(last, axis=1, reverse=True)
-    return Ranks(order, rank, first, last), same.any()
+    return Ranks(order, rank, first, last), (last - first).max() + 1
 
 
 def _integer_key(values: Array) -> Array:

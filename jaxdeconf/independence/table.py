@@ -20,7 +20,7 @@ from jaxdeconf.independence.levels import (
     from_levels,
     levels_of,
 )
-from jaxdeconf.independence.pairs import Statistic, from_ranks, from_values
+from jaxdeconf.independence.pairs import SMALL, Statistic, from_ranks, from_values
 from jaxdeconf.independence.ranks import Ranks, columns, rank_on_device, rank_on_host
 
 
@@ -35,14 +35,14 @@ def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
         elif platform == "cpu":
             found = counted(rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys)), statistic)
         else:
-            found = from_ranks(_ranked(xs), _ranked(ys), statistic, platform)
+            found = _general(_ranked(xs), _ranked(ys), statistic)
         return formed(found, dtype, shape)
 
 
 def _ranked(values: Array | np.ndarray) -> Ranks:
     """On the device; the counts of tied columns, the larger program, are compiled only for them."""
     ranks, tied = jax.jit(rank_on_device)(jnp.asarray(values))
-    return ranks if tied else ranks._replace(first=None, last=None)
+    return ranks if tied > 1 else ranks._replace(first=None, last=None)
 
 
 @partial(jax.jit, static_argnames=("dtype", "shape"))  # one call instead of two, of 0.1 ms each
@@ -68,7 +68,7 @@ def counted(x: Ranks, y: Ranks, statistic: Statistic) -> Array | np.ndarray:
     """[S, P] float64, as `all_pairs`, of variables ranked on the host; under 64-bit types."""
     few_x, few_y = few_levels(x), few_levels(y)
     if statistic.weighted or not (few_x.any() or few_y.any()):
-        return from_ranks(x, y, statistic, jax.default_backend())
+        return _general(x, y, statistic)
     result = np.empty((len(few_x), len(few_y)))
     for few_in_x, few_in_y in product((True, False), repeat=2):
         rows, cols = few_x == few_in_x, few_y == few_in_y
@@ -81,7 +81,7 @@ def counted(x: Ranks, y: Ranks, statistic: Statistic) -> Array | np.ndarray:
 def _counted(x: Ranks, y: Ranks, few_x: bool, few_y: bool, statistic: Statistic) -> Array:
     """The same, where all variables of x, and of y, have few levels or none has."""
     if not (few_x or few_y):
-        return from_ranks(x, y, statistic, jax.default_backend())
+        return _general(x, y, statistic)
     if not few_x:  # D does not change where x and y change places
         return from_levels(levels_of(y), x, statistic).T
     levels_x = levels_of(x)
@@ -90,6 +90,13 @@ def _counted(x: Ranks, y: Ranks, few_x: bool, few_y: bool, statistic: Statistic)
         if levels_x.midrank.shape[1] * levels_y.midrank.shape[1] <= CELLS:
             return from_cells(levels_x, levels_y, statistic)
     return from_levels(levels_x, y, statistic)
+
+
+def _general(x: Ranks, y: Ranks, statistic: Statistic) -> Array:
+    """The same of any variables; chance ties, as float32 has them, cost less than others."""
+    groups = [int((r.last - r.first).max()) + 1 for r in (x, y) if r.first is not None]
+    small = bool(groups) and max(groups) <= SMALL
+    return from_ranks(x, y, statistic, jax.default_backend(), small)
 
 
 def chosen(ranks: Ranks, which: np.ndarray) -> Ranks:

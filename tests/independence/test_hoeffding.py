@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxdeconf.independence import hoeffding_d, pairs
+from jaxdeconf.independence import hoeffding_d, levels, pairs, table
 from tests.reference import midrank_d, quintuple_d
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden/hoeffding.json").read_text())["cases"]
@@ -73,6 +73,33 @@ def test_types_and_ties_against_midranks(dtype):
     if dtype in (np.int64, np.float32):
         with jax.enable_x64(True):
             np.testing.assert_allclose(jax.jit(hoeffding_d)(x, y), want, atol=1e-13)
+
+
+def grouped(rng, n, largest):
+    """[n] numbers in groups of 1 to `largest` equal ones, at random places."""
+    sizes = rng.integers(1, largest + 1, n)
+    sizes[0] = largest
+    return rng.permutation(np.repeat(np.arange(n), sizes)[:n]).astype(float)
+
+
+@pytest.mark.parametrize("largest", [2, pairs.SMALL, pairs.SMALL + 1])
+@pytest.mark.parametrize("n", [40, 300])
+def test_small_groups_of_ties_are_met_one_by_one_and_large_ones_counted(n, largest, monkeypatch):
+    monkeypatch.setattr(levels, "MOST", 0)  # or they would be counted by their levels
+    rng = np.random.default_rng(largest)
+    x = np.column_stack([grouped(rng, n, largest), rng.normal(size=n)])
+    y = np.column_stack(
+        [grouped(rng, n, largest), np.round(3 * x[:, 0] / n, 2), rng.normal(size=n)]
+    )
+    y[: n // 2, 0] = x[: n // 2, 0]  # ties in both
+    used = []
+    counted = pairs.from_ranks.__wrapped__
+    monkeypatch.setattr(table, "from_ranks", lambda *of: used.append(of[-1]) or counted(*of))
+    want = [[midrank_d(a, b) for b in y.T] for a in x.T]
+    np.testing.assert_allclose(hoeffding_d(x, y), want, atol=1e-7)
+    np.testing.assert_allclose(jax.jit(hoeffding_d)(x, y), want, atol=1e-7)
+    most = max(np.unique(v, return_counts=True)[1].max() for v in (*x.T, *y.T))
+    assert used == [most <= pairs.SMALL]
 
 
 @pytest.mark.parametrize(("n", "columns"), [(1000, 5), (2500, 3), (10900, 1)])
