@@ -1,4 +1,4 @@
-"""`jaxdeconf report DIR`: draws a finished run's, masking's or sweep's figures and pages again."""
+"""`jaxdeconf report DIR`: draws figures and pages of what was finished in a directory again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,8 @@ from jaxdeconf.pipeline.store import StoreError, WriteError, cause
 class Arguments:
     """What can be said on the command line."""
 
-    directory: tyro.conf.Positional[Path]  # of a run, several seeds' runs, a masking or a sweep
+    # Of a run, several seeds' runs, a masking, the theory's experiments or a sweep.
+    directory: tyro.conf.Positional[Path]
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -34,14 +35,17 @@ def main(arguments: Sequence[str]) -> int:
 def _redraw(directory: Path) -> Path:
     from jaxdeconf.owndata.results import Found
     from jaxdeconf.pipeline.results import finished
-    from jaxdeconf.report import owndata, run, sweep
+    from jaxdeconf.pipeline.theory import Theory
+    from jaxdeconf.report import owndata, run, sweep, theory
     from jaxdeconf.sweep.log import Log, read_sweep
 
     if (directory / "sweep.json").exists():
         sweep.write(directory, read_sweep(directory), Log(directory).rows())
         return directory / "report.html"
+    kinds = {Found: owndata, Theory: theory}
+    found = (report for kind, report in kinds.items() if finished(directory, kind))
     try:
-        (owndata if finished(directory, Found) else run).redraw(directory)
+        next(found, run).redraw(directory)
     except UNREADABLE as error:
         raise StoreError(f"{directory}: no finished run there ({cause(error)})") from error
     return directory / "report.html"

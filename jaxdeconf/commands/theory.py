@@ -18,7 +18,7 @@ from jaxdeconf.commands.guard import cache_compilations, complain, guarded
 from jaxdeconf.commands.parse import Where, first, parse
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.owner import owned
-from jaxdeconf.pipeline.store import OWNER, StoreError, begun, writing
+from jaxdeconf.pipeline.store import OWNER, StoreError, begun
 from jaxdeconf.pipeline.theory import TheoryConfig
 
 
@@ -46,16 +46,15 @@ def main(words: Sequence[str]) -> int:
 
     def work(interruption: Interruption) -> None:
         # Imported late: --help and a mistyped flag do not wait for the rest to load.
-        from jaxdeconf.pipeline import results, theory
+        from jaxdeconf.pipeline import theory
         from jaxdeconf.pipeline.progress import Reporter
-        from jaxdeconf.report.theory import summary, write_report
+        from jaxdeconf.report.theory import redraw
 
         cache_compilations()
         with owned(directory / OWNER, asked.take_over):
             resume = asked.held is not None
-            found = theory.run(asked.config, directory, Reporter(), resume, interruption)
-            with writing(directory):
-                write_report(directory, *results.load(directory, theory.Theory))
-        print(summary(found, directory))
+            theory.run(asked.config, directory, Reporter(), resume, interruption)
+            said = redraw(directory)
+        print(said)
 
     return guarded(work, directory)

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from jaxdeconf.pipeline.results import Pictures
+from jaxdeconf.pipeline.results import Pictures, load
+from jaxdeconf.pipeline.store import writing
 from jaxdeconf.pipeline.theory import Theory
 from jaxdeconf.report import canvas, page, words
 from jaxdeconf.report.about import about
@@ -33,6 +34,21 @@ def write_report(directory: Path, found: Theory, pictures: Pictures) -> None:
             body += [page.heading(title), table(rows)]
     body += [page.heading("This run"), *_about(found)]
     page.write(directory / "report.html", "What the intervention is for", body)
+
+
+def redraw(directory: Path) -> str:
+    """Writes the report of finished experiments, again if there is one.
+
+    Returns:
+      Lines for the terminal.
+    Raises:
+      OSError, ValueError, KeyError, TypeError: if there are none, or they cannot be read.
+      WriteError: if the disk does not take what is drawn.
+    """
+    found, pictures = load(directory, Theory)
+    with writing(directory):
+        write_report(directory, found, pictures)
+    return summary(found, directory)
 
 
 def table(rows: list[Rate]) -> str:

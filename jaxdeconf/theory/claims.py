@@ -7,7 +7,7 @@ of one system. Shapes: B systems, S state, O observation, H reaction horizon, P 
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
 from jaxdeconf import checks
 from jaxdeconf.independence import hoeffding_d, least_strength, p_value
@@ -59,15 +60,15 @@ class ClaimsConfig:
 
     trajectories: tuple[int, ...] = (100, 300, 1000, 2500, 10_000, 30_000)  # N of a data set
     systems: int = 999  # for each N; a third of each strength
-    broken_systems: int = 300  # of each assumption
+    broken_systems: int = 200  # of each assumption
     # No more systems for an N than have so many trajectories together.
-    budget: int = 1_500_000
+    budget: int = 1_200_000
     strengths: tuple[float, ...] = (0.3, 0.5, 0.8)  # of S -> O and O -> A: noise is the rest
     reaction_horizon: int = HORIZON
     threshold: float = MaskConfig.threshold
     alpha: float = 0.05
     thresholds: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # bare ones to compare
-    null_systems: int = 1000  # data sets of columns that depend on nothing
+    null_systems: int = 500  # data sets of columns that depend on nothing
 
     def __post_init__(self):
         checks.integer("reaction_horizon", self.reaction_horizon, most=HORIZON)
@@ -215,16 +216,24 @@ def run_tests(
 
 
 def _in_chunks(compute: Callable[[np.ndarray], Any], count: int) -> Any:
-    """A pytree of arrays [count, ...] of what is computed for numbers [_CHUNK] below count.
-
-    A program runs its systems one after another, so each core has a chunk of its own; the first is
-    computed alone, and compiles for all.
-    """
+    """A pytree of arrays [count, ...] of what is computed for numbers [_CHUNK] below count."""
     chunks = [np.arange(begin, begin + _CHUNK) % count for begin in range(0, count, _CHUNK)]
-    found = [jax.block_until_ready(compute(chunks[0]))]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found += pool.map(lambda chunk: jax.block_until_ready(compute(chunk)), chunks[1:])
+    found = [jax.block_until_ready(compute(chunk)) for chunk in chunks]
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+
+
+def _each(counts: Iterable[int], compute: Callable[[int], Any]) -> dict[int, Any]:
+    """What is computed for each N, of the largest first.
+
+    A program compiles on one core and runs its systems one after another, so each core has an N of
+    its own.
+    """
+    largest_first = sorted(counts, reverse=True)
+    if isinstance(jnp.zeros(()), Tracer):  # shapes are asked for, of which other threads know not
+        return {n: compute(n) for n in largest_first}
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = dict(zip(largest_first, pool.map(compute, largest_first), strict=True))
+    return dict(sorted(found.items()))
 
 
 def measure(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> dict[int, Measured]:
@@ -236,7 +245,7 @@ def measure(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> dict[in
         intervened, natural = jax.random.split(jax.random.fold_in(key, n))
         return Measured(test(intervened), test(natural, coupling=1.0))
 
-    return {n: stage(f"systems {n}", partial(one, n)) for n in config.trajectories}
+    return stage("systems", lambda: _each(config.trajectories, one))
 
 
 def conservative(
@@ -257,21 +266,27 @@ def conservative(
 def _broken(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
     """The same of strong edges, with an assumption broken."""
     strong = replace(config, strengths=config.strengths[-1:])
-    for n in (n for n in config.trajectories if n <= _BROKEN):
 
-        def tests(n: int = n) -> dict[str, Statistics]:
-            structures, _ = draw_systems(strong, config.count(n, config.broken_systems), key)
-            data, horizon = jax.random.fold_in(key, n), config.reaction_horizon
-            systems = structural.broken(structures)
-            found = {name: run_tests(one, data, n, horizon) for name, one in systems.items()}
-            if n in _TIED:
-                tied = run_tests(systems[BUTTON], data, n, horizon, tied=True)
-                found[f"{BUTTON}, tested by R"] = tied
-            return found
+    def tests(n: int) -> dict[str, Statistics]:
+        structures, _ = draw_systems(strong, config.count(n, config.broken_systems), key)
+        data, horizon = jax.random.fold_in(key, n), config.reaction_horizon
+        systems = structural.broken(structures)
+        found = {name: run_tests(one, data, n, horizon) for name, one in systems.items()}
+        if n in _TIED:
+            tied = run_tests(systems[BUTTON], data, n, horizon, tied=True)
+            found[f"{BUTTON}, tested by R"] = tied
+        return found
 
-        for name, found in stage(f"broken {n}", tests).items():
-            gamma = config.gamma(n)
-            yield rate(name, n, gamma, found.masked(gamma)[:, CAUSE])
+    found = stage("assumptions broken", lambda: _each(_few(config, _BROKEN), tests))
+    for n in _few(config, _BROKEN):
+        gamma = config.gamma(n)
+        for name, one in found[n].items():
+            yield rate(name, n, gamma, one.masked(gamma)[:, CAUSE])
+
+
+def _few(config: ClaimsConfig, most: int) -> list[int]:
+    """The numbers of trajectories up to one."""
+    return [n for n in config.trajectories if n <= most]
 
 
 def pairs(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> list[Rate]:
@@ -281,22 +296,23 @@ def pairs(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> list[Rate
     states show the cause.
     """
     rows, strong = [], replace(config, strengths=config.strengths[-1:])
-    for n in (n for n in config.trajectories if n <= _BROKEN):
 
-        def tests(n: int = n) -> dict[str, dict[str, Statistics]]:
-            structures, _ = draw_systems(strong, config.count(n, config.broken_systems), key)
-            systems = {"shown alone": structures, PAIR: structural.broken(structures)[PAIR]}
-            test = partial(run_tests, trajectories=n, horizon=config.reaction_horizon)
-            data = named(jax.random.fold_in(key, n), "pairs")
-            return {
-                name: {word: test(of, data, together=count) for word, count in _TOGETHER.items()}
-                for name, of in systems.items()
-            }
+    def tests(n: int) -> dict[str, dict[str, Statistics]]:
+        structures, _ = draw_systems(strong, config.count(n, config.broken_systems), key)
+        systems = {"shown alone": structures, PAIR: structural.broken(structures)[PAIR]}
+        test = partial(run_tests, trajectories=n, horizon=config.reaction_horizon)
+        data = named(jax.random.fold_in(key, n), "pairs")
+        return {
+            name: {word: test(of, data, together=count) for word, count in _TOGETHER.items()}
+            for name, of in systems.items()
+        }
 
-        for name, found in stage(f"pairs {n}", tests).items():
+    found = stage("pairs", lambda: _each(_few(config, _BROKEN), tests))
+    for n in _few(config, _BROKEN):
+        for name, one in found[n].items():
             for word, count in _TOGETHER.items():
                 gamma = config.gamma(n, count)
-                masked = found[word].masked(gamma)
+                masked = one[word].masked(gamma)
                 case = f"is masked: {name}, {word}"
                 rows.append(rate(f"the cause {case}", n, gamma, masked[:, CAUSE]))
                 rows.append(rate(f"the mark {case}", n, gamma, masked[:, MARK]))
@@ -376,16 +392,20 @@ def _of_tests(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
     dependence is seen that `required_trajectories` says is, in `_POWER` of the data sets.
     """
     columns = (1, config.tests // STATES, _COLUMNS)
-    for n in (n for n in config.trajectories if n <= _MOST):
-        strength = least_strength(n, config.tests, _POWER, config.alpha, config.threshold)
+    few = _few(config, _MOST)
+    least = {
+        n: least_strength(n, config.tests, _POWER, config.alpha, config.threshold) for n in few
+    }
 
-        def pairs(n: int = n, strength: float = strength) -> Array:
-            of = named(jax.random.fold_in(key, n), "normal columns")
-            keys = jax.random.split(of, config.null_systems)
-            some = partial(_normal_columns, strength=strength, trajectories=n)
-            return _in_chunks(lambda chunk: some(keys[chunk]), len(keys))
+    def pairs(n: int) -> Array:
+        of = named(jax.random.fold_in(key, n), "normal columns")
+        keys = jax.random.split(of, config.null_systems)
+        some = partial(_normal_columns, strength=least[n], trajectories=n)
+        return _in_chunks(lambda chunk: some(keys[chunk]), len(keys))
 
-        d = np.asarray(stage(f"normal columns {n}", pairs))
+    found = stage("normal columns", lambda: _each(few, pairs))
+    for n in few:
+        d, strength = np.asarray(found[n]), least[n]
         for some in columns:
             tests, largest = STATES * some, d[:, :, 1 : 1 + some].max(axis=(1, 2))
             chance = 1 - (1 - float(p_value(config.threshold, n))) ** tests

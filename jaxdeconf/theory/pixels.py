@@ -44,22 +44,27 @@ class PixelsConfig:
     """A small budget: the linear start, a short β-VAE, small networks. All ours."""
 
     couplings: tuple[float, ...] = (1.0, 0.5, 0.0)  # share of trajectories not intervened on
-    method: str = field(default_factory=lambda: masking()[0])  # cloned behind each mask
+    method: str = field(default_factory=lambda: masking()[-1])  # cloned behind each mask
     datasets: int = 40  # that are masked; of `dataset` of the expert's trajectories, squares anew
     dataset: int = 1000
     rollouts: int = 100
+    # H, W: half the pixels and half the time; at 32 × 32 the masked latents' reach is not local.
+    size: tuple[int, int] = (48, 48)
     random_trajectories: int = 1500
     random_steps: int = 10
     expert_trajectories: int = 1500
     expert: ExpertConfig = field(default_factory=ExpertConfig)
     disentangle: DisentangleConfig = field(
         default_factory=lambda: replace(
-            vae.CPU, steps=200, start_components=12, network=replace(vae.CPU.network, latents=6)
+            vae.CPU,
+            steps=200,
+            start_components=12,
+            network=replace(vae.CPU.network, channels=(8, 16, 32, 64), latents=6),
         )
     )
     mask: MaskConfig = field(default_factory=lambda: MaskConfig(reaction_horizon=3))
     clone: CloneConfig = field(
-        default_factory=lambda: replace(bc.CPU, steps=500, trajectory_steps=40)
+        default_factory=lambda: replace(bc.CPU, steps=1000, trajectory_steps=40)
     )
 
     def __post_init__(self):
@@ -98,7 +103,7 @@ def prepare(
     config: PixelsConfig, key: Array, stage: Stage = at_once, watch: Watch = finish
 ) -> Scene:
     """Collects what the conditions share, and learns the latents."""
-    system = cartpole.CARTPOLE
+    system = replace(cartpole.CARTPOLE, size=config.size)
     wanted = CollectConfig(
         random_trajectories=config.random_trajectories,
         expert_trajectories=config.expert_trajectories,
@@ -150,7 +155,10 @@ def mask_rates(
 
         def masks(coupling: float = coupling) -> Array:
             of = scene.system, scene.encoder, scene.collected.expert, coupling, keys
-            return _masks(*of, config.mask, config.dataset)
+            columns = _columns(*of, config.dataset, config.mask.reaction_horizon)
+            gamma, alpha = config.mask.threshold, config.mask.alpha
+            found = [find_mask(*one, gamma, alpha).mask for one in zip(*columns, strict=True)]
+            return jnp.stack(found)
 
         found = np.asarray(stage(f"masks {coupling:g}", masks))
         n, gamma = config.dataset, config.mask.threshold
@@ -161,28 +169,31 @@ def mask_rates(
     return rows
 
 
-@partial(jax.jit, static_argnames=("system", "count"))
-def _masks(
+@partial(jax.jit, static_argnames=("system", "count", "horizon"))
+def _columns(
     system: System,
     encoder: Encoder,
     expert: Trajectories,
     coupling: float,
     keys: Array,
-    config: MaskConfig,
     count: int,
-) -> Array:
-    """[datasets, O] masks, each of `count` of the expert's trajectories with squares anew."""
+    horizon: int,
+) -> tuple[Array, Array, Array]:
+    """Data sets of `count` of the expert's trajectories, with squares anew.
 
-    def one(key: Array) -> Array:
+    Returns:
+      First states [datasets, count, S], latents [.., count, O] and actions [.., count, H, A].
+    """
+
+    def one(key: Array) -> tuple[Array, Array, Array]:
         of_rows, of_squares = jax.random.split(key)
         rows = jax.random.permutation(of_rows, len(expert.states))[:count]
-        some = jax.tree.map(lambda a: a[rows, : config.reaction_horizon], expert)
+        some = jax.tree.map(lambda a: a[rows, :horizon], expert)
         some = coupled(system, some, coupling, of_squares)
         images = frames(system, jax.tree.map(lambda a: a[:, 0], some))
         mean, _ = vae.encode(encoder.network, encoder.variables, images)
-        latents, acted = jnp.where(encoder.active, mean, 0.0), some.actions / system.limits
-        found = find_mask(some.states[:, 0], latents, acted, config.threshold, config.alpha)
-        return found.mask
+        latents = jnp.where(encoder.active, mean, 0.0)
+        return some.states[:, 0], latents, some.actions / system.limits
 
     return jax.lax.map(one, keys)
 

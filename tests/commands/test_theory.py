@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from jaxdeconf.commands import report
 from jaxdeconf.commands import theory as command
 from jaxdeconf.pipeline import results
 from jaxdeconf.pipeline.theory import Theory, TheoryConfig
@@ -51,12 +52,22 @@ def test_the_report_has_every_claim_and_its_figure(done):
     assert drawn == {"conservative.png", "intervention.png", "threshold.png"}
 
 
+def test_the_report_is_drawn_again(done, capsys):
+    drawn, written = done / "figures" / "threshold.png", (done / "report.html").read_text()
+    before = drawn.stat().st_mtime_ns
+    (done / "report.html").unlink()
+    assert report.main([str(done)]) == 0
+    assert capsys.readouterr().out == f"report: {done / 'report.html'}\n"
+    assert (done / "report.html").read_text() == written
+    assert drawn.stat().st_mtime_ns > before
+
+
 def test_it_goes_on_where_it_stopped(done, capsys):
-    before = (done / "checkpoints" / "systems 40").stat().st_mtime_ns
+    before = (done / "checkpoints" / "systems").stat().st_mtime_ns
     numbers = (done / "results.json").read_text()
     (done / "results.json").unlink()
     assert command.main(["--resume", str(done)]) == 0
-    assert (done / "checkpoints" / "systems 40").stat().st_mtime_ns == before
+    assert (done / "checkpoints" / "systems").stat().st_mtime_ns == before
     old, new = (json.loads(text) for text in (numbers, (done / "results.json").read_text()))
     for part in ("peak_memory_mb", "seconds"):
         old.pop(part), new.pop(part)
