@@ -19,7 +19,8 @@ import numpy as np
 
 from jaxdeconf import systems
 from jaxdeconf.commands.guard import cache_compilations
-from jaxdeconf.methods import METHODS, Evidence, masking
+from jaxdeconf.method import Evidence
+from jaxdeconf.methods import METHODS, masking
 from jaxdeconf.pipeline import judge
 from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.pipeline.plain import write_json

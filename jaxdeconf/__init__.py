@@ -24,7 +24,8 @@ from jaxdeconf.independence import (
     threshold,
 )
 from jaxdeconf.mask import Mask, find_mask
-from jaxdeconf.methods import METHODS, Evidence, Method
+from jaxdeconf.method import Evidence, Method
+from jaxdeconf.methods import METHODS
 from jaxdeconf.owndata.view import load_view
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.run import run

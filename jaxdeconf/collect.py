@@ -12,7 +12,7 @@ import jax
 from jax import Array
 
 from jaxdeconf import checks
-from jaxdeconf.demos import Demos
+from jaxdeconf.demos import Demos, Exploration
 from jaxdeconf.expert import ExpertConfig, expert_trajectories
 from jaxdeconf.keys import named
 from jaxdeconf.systems import System, Trajectories, random_trajectories
@@ -52,13 +52,6 @@ class Collected(NamedTuple):
     expert: Trajectories  # for the mask and for cloning
     evaluation: Trajectories  # the expert from the initial states on which clones are judged
     unconverged: Array  # [N] steps of `expert` whose plan had not converged
-
-
-class Exploration(NamedTuple):
-    """Frames under a random policy, and what their nuisance shows."""
-
-    images: Array  # uint8 [n, H, W, 3]
-    previous_actions: Array  # [n, A] over the limit
 
 
 def collect(

@@ -28,7 +28,8 @@ from jaxdeconf.learn.clone import CloneConfig, Policy
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.learn.fit import Watch, finish
 from jaxdeconf.mask import Mask, MaskConfig
-from jaxdeconf.methods import METHODS, Evidence, available, cloning, imitated, masking, require
+from jaxdeconf.method import Ask, Evidence, available, cloning, configured, imitated
+from jaxdeconf.methods import METHODS, masking, require
 from jaxdeconf.region import find_region
 
 
@@ -163,7 +164,8 @@ def clone_policy(
     checks.key("key", key)
     _check_cloning([name], demos, evidence, config)
     samples = imitated(demos.lengths, config)
-    training = cloning(METHODS[name], lambda: demos, samples, evidence, key, config)
+    ask = Ask(config, key, watch)
+    training = cloning(METHODS[name], lambda: demos, samples, evidence, ask)
     return training.trained(watch(f"clone {name}", training))
 
 
@@ -187,6 +189,7 @@ def _check_cloning(
     checks.instance("config", config, CloneConfig)
     for name in names:
         require(name, available(demos, evidence) | {*to_come})
+        configured(METHODS[name], config).total_steps(imitated(demos.lengths, config))
     if evidence.encoder is not None:
         vae.check_images(evidence.encoder, demos.images.shape[2:4])
         latents = len(evidence.encoder.active)
@@ -195,4 +198,3 @@ def _check_cloning(
     if evidence.region is not None:
         height, width = size = demos.images.shape[2:4]
         checks.array("region", evidence.region, f"[{height}, {width}]", size, "bool")
-    config.total_steps(imitated(demos.lengths, config))

@@ -5,12 +5,19 @@ Shapes: N episodes, T steps, H × W pixels, A action, S state. The paper's t=1 i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.core import Tracer
 
 from jaxdeconf import checks
+
+
+class Exploration(NamedTuple):
+    """Frames under a random policy, and what it did before each."""
+
+    images: Any  # uint8 [n, H, W, 3]
+    previous_actions: Any  # [n, A] over the limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +35,7 @@ class Demos:
     initial_states: Any  # [N, S] what the system was set to, at random
     valid: Any = None  # bool [N, T], True up to an episode's end; None: all are of length T
     previous_actions: Any = None  # [N, T, A] over their limit, what each frame's past did; optional
+    weights: Any = None  # [N, T] >= 0, of each step in the loss; None: all alike
     state_names: Sequence[str] = ()  # [S]
     action_names: Sequence[str] = ()  # [A]
 
@@ -48,6 +56,9 @@ class Demos:
             shape = actions.shape
             previous = self._array("previous_actions", str(list(shape)), shape)
             _require_finite("previous_actions", previous, within)
+        if self.weights is not None:
+            weights = self._array("weights", str(list(within.shape)), within.shape)
+            _require_finite("weights", weights[..., None], within)
         for name, size in (("state_names", states.shape[1]), ("action_names", actions.shape[2])):
             if len(getattr(self, name)):
                 checks.same_length(name, len(getattr(self, name)), size, "names")

@@ -13,6 +13,7 @@ from jax import Array
 
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import Policy, blank
+from jaxdeconf.learn.fit import Training
 from jaxdeconf.systems.rollout import Trajectories, frames, rollout, sample_action
 from jaxdeconf.systems.system import System
 from jaxdeconf.traced import traceable
@@ -34,6 +35,11 @@ class EvaluateConfig:
         """The training steps after which a policy drives; the last one is always among them."""
         between = max(1.0, self.every * per_epoch)
         return (*(round(between * i) for i in range(1, math.ceil((total - 0.5) / between))), total)
+
+    def visits(self, training: Training) -> tuple[int, ...]:
+        """The same of a training."""
+        config, samples = training.config, training.samples
+        return self.steps(config.steps_per_epoch(samples), config.total_steps(samples))
 
 
 def drive(system: System, policy: Policy, initial_states: Array, key: Array) -> Trajectories:

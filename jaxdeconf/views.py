@@ -72,14 +72,24 @@ def see(view: View, parameters: Any, images: Array) -> Array:
     return jax.lax.map(lambda image: view(parameters, image[None])[0], images, batch_size=256)
 
 
-def shown(demos: Demos, view: View, parameters: Any, steps: int | None) -> Demonstrations:
-    """The first steps of each episode, as a view shows them; None is all."""
+def shown(
+    demos: Demos, view: View, parameters: Any, steps: int | None, extra: Any = None
+) -> Demonstrations:
+    """The first steps of each episode, as a view shows them; None is all.
+
+    Args:
+      demos: the episodes.
+      view: what is shown of a frame.
+      parameters: of the view.
+      steps: of each episode, or None.
+      extra: a pytree [N, T, ...] that goes along.
+    """
     images = _through(view, parameters, jnp.asarray(demos.images[:, :steps]))
     count, length = images.shape[:2]
     step = jnp.broadcast_to(jnp.arange(length, dtype=jnp.int32), (count, length))
-    actions, previous = jnp.asarray(demos.actions[:, :steps]), demos.previous_actions
-    previous = None if previous is None else jnp.asarray(previous[:, :steps])
-    padded = Demonstrations(images, step, actions, previous)
+    along = demos.actions, demos.previous_actions, demos.weights, extra
+    along = jax.tree.map(lambda a: jnp.asarray(a[:, :steps]), along)
+    padded = Demonstrations(images, step, *along)
     if demos.valid is None:
         return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), padded)
     valid = np.asarray(demos.valid)[:, :steps]

@@ -29,7 +29,8 @@ from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.learn.fit import FitConfig
 from jaxdeconf.learn.linear_start import linear_start
 from jaxdeconf.mask import Mask, MaskConfig, find_mask
-from jaxdeconf.methods import METHODS, Evidence
+from jaxdeconf.method import Evidence
+from jaxdeconf.methods import METHODS
 from jaxdeconf.nets import vae
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig

@@ -18,7 +18,8 @@ from jaxdeconf.demos import Demos
 from jaxdeconf.learn.clone import CloneConfig, Policy
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.mask import Mask, MaskConfig
-from jaxdeconf.methods import METHODS, Evidence, Method, imitated
+from jaxdeconf.method import Evidence, Method, imitated
+from jaxdeconf.methods import METHODS
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.region import find_region
@@ -214,7 +215,7 @@ def upside_down(_, images):
 def test_what_is_cloned_is_every_valid_step_in_order(demos, steps):
     found = shown(demos, upside_down, {}, steps)
     expected = shown_by_loops(demos, steps)
-    for a, b in zip(found, expected, strict=True):
+    for a, b in zip(found[:4], expected, strict=True):
         np.testing.assert_array_equal(a, np.asarray(b, a.dtype))
     config = replace(CLONE, trajectory_steps=steps)
     assert imitated(demos.lengths, config) == len(expected[0])
@@ -228,7 +229,7 @@ def test_what_is_cloned_of_whole_episodes_without_previous_actions(demos):
     assert found.previous_actions is None
 
 
-def corrected(demos, evidence):
+def corrected(demos, evidence, ask):
     """The demonstrations with the opposite of the expert's first actions."""
     actions = np.array(demos.actions)
     actions[:, 0] = -evidence.expert(demos.initial_states)
@@ -258,9 +259,9 @@ def test_a_method_of_ones_own_has_its_view_its_data_and_its_loss(demos, monkeypa
     evidence = Evidence(expert=expert)
     policy = clone_policy("Mine", demos, evidence, KEY, replace(CLONE, steps=3, learning_rate=0.1))
     jax.effects_barrier()
-    expected = shown_by_loops(corrected(demos, evidence), None)
+    expected = shown_by_loops(corrected(demos, evidence, None), None)
     assert len(seen) == 3
-    for a, b in zip(seen[0], expected, strict=True):
+    for a, b in zip(seen[0][:4], expected, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
     np.testing.assert_allclose(policy.variables["params"]["head"]["bias"], [0.3], atol=1e-2)
     assert policy.view is upside_down
@@ -273,7 +274,7 @@ def test_a_method_of_ones_own_has_its_view_its_data_and_its_loss(demos, monkeypa
 
 
 def test_the_data_of_a_method_are_as_many_steps_as_there_were(demos, monkeypatch):
-    def shorter(demos, evidence):
+    def shorter(demos, evidence, ask):
         return Demos(demos.images[:, :2], demos.actions[:, :2], demos.initial_states)
 
     monkeypatch.setitem(METHODS, "Mine", METHODS["BcVanilla"]._replace(data=shorter))

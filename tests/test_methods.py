@@ -4,10 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf import methods, systems, views
+from jaxdeconf import method, methods, systems, views
 from jaxdeconf.demos import Demos
 from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.methods import METHODS, Evidence
+from jaxdeconf.method import Evidence
+from jaxdeconf.methods import METHODS
 from jaxdeconf.nets.vae import VAEConfig
 
 SYSTEM = systems.get("cartpole")
@@ -47,19 +48,19 @@ def test_the_papers_other_methods_show_the_frames_and_the_covered_frames(evidenc
 
 @pytest.mark.parametrize("name", METHODS)
 def test_a_method_makes_its_view_of_what_it_needs_alone(name, evidence):
-    method = METHODS[name]
-    needed = {need: getattr(evidence, need) for need in method.needs if need != "previous_actions"}
-    view, _ = method.view(Evidence(**needed))
+    row = METHODS[name]
+    needed = {need: getattr(evidence, need) for need in row.needs if need != "previous_actions"}
+    view, _ = row.view(Evidence(**needed))
     assert callable(view)
-    assert method.note.endswith(".")
-    assert method.kind in ("fair", "oracle", "control")
+    assert row.note.endswith(".")
+    assert row.kind in ("fair", "oracle", "control")
 
 
 def test_what_is_available_is_what_is_there(evidence):
-    assert methods.available(DEMOS, Evidence()) == set()
-    assert methods.available(DEMOS, evidence) == {"encoder", "mask", "region", "cover", "expert"}
+    assert method.available(DEMOS, Evidence()) == set()
+    assert method.available(DEMOS, evidence) == {"encoder", "mask", "region", "cover", "expert"}
     told = Demos(DEMOS.images, DEMOS.actions, DEMOS.initial_states, None, DEMOS.actions)
-    assert methods.available(told, Evidence(mask=MASK)) == {"mask", "previous_actions"}
+    assert method.available(told, Evidence(mask=MASK)) == {"mask", "previous_actions"}
 
 
 def test_a_method_is_refused_for_the_first_need_that_is_not_met():

@@ -6,6 +6,7 @@ from jaxdeconf.expert.mpc import (
     expert_trajectories,
     plan,
     receding_horizon,
+    relabel,
 )
 
-__all__ = ["ExpertConfig", "Plans", "expert_trajectories", "plan", "receding_horizon"]
+__all__ = ["ExpertConfig", "Plans", "expert_trajectories", "plan", "receding_horizon", "relabel"]

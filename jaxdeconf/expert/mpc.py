@@ -143,6 +143,41 @@ def _trajectories(
     return jax.vmap(one)(states, jax.random.split(key, len(states)))
 
 
+def relabel(system: System, states: ArrayLike, config: ExpertConfig | None = None) -> Array:
+    """What the receding-horizon expert would do in the states that another went through.
+
+    Of its own trajectories these are the actions that it took.
+
+    Args:
+      system: what moves.
+      states: [N, T, S] finite, N trajectories in the system's units.
+      config: the default is `ExpertConfig()`.
+    Returns:
+      [N, T, A] actions within the limits.
+    Raises:
+      ValueError: if `states` has another shape or is not finite.
+    """
+    config = ExpertConfig() if config is None else config
+    checks.instance("system", system, System)
+    size = len(system.state_names)
+    shape = None, None, size
+    states = checks.array("states", states, f"[N, T, {size}]", shape, finite=True)
+    return _relabel(system, jnp.asarray(states, dtype=float), config)
+
+
+@partial(jax.jit, static_argnums=(0, 2))
+def _relabel(system: System, states: Array, config: ExpertConfig) -> Array:
+    initial_memory, policy = receding_horizon(system, config)
+
+    def one(states: Array) -> Array:
+        def advance(memory: Memory, state: Array) -> tuple[Memory, Array]:
+            return policy(memory, state, system.limits, jax.random.key(0))  # it looks at neither
+
+        return jax.lax.scan(advance, initial_memory(states[0]), states)[1]
+
+    return jax.vmap(one)(states)
+
+
 def _solve_cold(system: System, state: Array, config: ExpertConfig) -> ilqr.Solution:
     """The best of the solutions from each of the system's own first plans."""
     starts = system.initial_plans(state, config.horizon)

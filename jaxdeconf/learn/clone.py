@@ -36,6 +36,9 @@ class CloneConfig(FitConfig):
     # None is the squared error, the paper's. Ours, for short trainings: no frame shows the first
     # step's velocity, so its error is ten times the others' and cannot be learnt.
     huber: Traced | None = None
+    # A method's own number: the weight of a penalty, the share that is dropped. None is the table's
+    # of methods; the paper's have none.
+    strength: Traced | None = None
     network: resnet.ResNetConfig = field(default_factory=resnet.ResNetConfig)
 
     def __post_init__(self):
@@ -45,6 +48,8 @@ class CloneConfig(FitConfig):
             checks.integer("trajectory_steps", self.trajectory_steps)
         if self.huber is not None:
             checks.positive("huber", self.huber)
+        if self.strength is not None:
+            checks.not_negative("strength", self.strength)
         checks.instance("network", self.network, resnet.ResNetConfig)
 
 
@@ -66,6 +71,8 @@ class Demonstrations(NamedTuple):
     step: Array  # [n] int32, steps since the first of its trajectory
     actions: Array  # [n, A] over the limit, in [-1, 1]
     previous_actions: Array | None = None  # [n, A], for losses that need them
+    weight: Array | None = None  # [n] of each in the loss; None: all alike
+    extra: Any = None  # a pytree [n, ...], what else a method's loss needs
 
 
 @jax.tree_util.register_dataclass
@@ -98,14 +105,19 @@ def blank(frames: Array) -> Array:
     return jnp.zeros_like(frames)
 
 
-def action_error(config: CloneConfig, predicted: Array, actions: Array) -> Array:
-    """[] mean squared, or Huber, error of actions [B, A] over their limit."""
+def action_error(
+    config: CloneConfig, predicted: Array, actions: Array, weight: Array | None = None
+) -> Array:
+    """[] mean squared, or Huber, error of actions [B, A] over their limit, weighted by [B]."""
     error = jnp.abs(predicted - actions)
     if config.huber is None:
-        return jnp.mean(error**2)
-    return jnp.mean(
-        jnp.where(error < config.huber, error**2, config.huber * (2 * error - config.huber))
-    )
+        errors = error**2
+    else:
+        linear = config.huber * (2 * error - config.huber)
+        errors = jnp.where(error < config.huber, error**2, linear)
+    if weight is None:
+        return jnp.mean(errors)
+    return (errors.mean(axis=1) * weight).sum() / weight.sum()
 
 
 def stacked(config: CloneConfig, data: Demonstrations, indices: Array) -> Array:
@@ -125,7 +137,8 @@ def objective(config: CloneConfig) -> Loss:
     def loss(variables: Variables, data: Demonstrations, indices: Array, key: Array, step: Array):
         images = stacked(config, data, indices)
         predicted, stats = resnet.apply(config.network, variables, images, train=True)
-        return action_error(config, predicted, data.actions[indices]), (stats, {})
+        weight = None if data.weight is None else data.weight[indices]
+        return action_error(config, predicted, data.actions[indices], weight), (stats, {})
 
     return loss
 
@@ -138,6 +151,7 @@ def training(
     parameters: Any,
     key: Array,
     objective: Objective = objective,
+    more: Callable[[Variables], Variables] = lambda variables: variables,
 ) -> Training:
     """A policy's training, not yet begun.
 
@@ -150,16 +164,18 @@ def training(
       key: its random choices follow from it by name, the same for all policies: these differ in
         what they are shown, and in nothing else.
       objective: config -> loss.
+      more: adds to the first variables what else the objective trains, or reads.
     """
 
     def begin(data: Demonstrations) -> FitState:
         height, width, channels = data.frames.shape[1:]
         shape = height, width, config.frames * channels
         first = named(key, "policy initial weights")
-        return start(resnet.init(config.network, first, shape, data.actions.shape[1]))
+        return start(more(resnet.init(config.network, first, shape, data.actions.shape[1])))
 
     def trained(state: FitState) -> Policy:
-        return Policy(view, config.network, config.frames, parameters, state.variables)
+        variables = {name: state.variables[name] for name in ("params", "batch_stats")}
+        return Policy(view, config.network, config.frames, parameters, variables)
 
     shuffles = named(key, "cloning")
     return Training(objective, config, samples, shuffles, data, begin, trained, parameters)

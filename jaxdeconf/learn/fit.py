@@ -204,6 +204,8 @@ class Training(NamedTuple):
     start: Callable[[Any], FitState]  # from the data: its first state
     trained: Callable[[FitState], Any]  # what a state of it is good for: an encoder, a policy
     made_from: Any = None  # a pytree that the data depend on beside the demonstrations
+    # Makes data of the same shapes by nothing that JAX cannot trace; None: `data` does.
+    like: Callable[[], Any] | None = None
 
     def chunks(
         self, name: str, state: FitState | None = None, stops: Sequence[int] = ()

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,8 @@ from jaxdeconf.expert import ExpertConfig
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.disentangle import DisentangleConfig, check_size
 from jaxdeconf.mask import MaskConfig
-from jaxdeconf.methods import METHODS, imitated, require
+from jaxdeconf.method import Need, configured, imitated
+from jaxdeconf.methods import METHODS, require, usual
 from jaxdeconf.systems import System
 from jaxdeconf.traced import traceable
 
@@ -27,7 +29,7 @@ class Config:
     system: str = "cartpole"
     preset: str = ""  # which it comes from
     seed: int = 0  # every random choice of the run derives from it
-    methods: tuple[str, ...] = field(default_factory=lambda: tuple(METHODS))  # cloned and driven
+    methods: tuple[str, ...] = field(default_factory=usual)  # cloned and driven
     collect: CollectConfig = field(default_factory=CollectConfig)
     expert: ExpertConfig = field(default_factory=ExpertConfig)
     disentangle: DisentangleConfig = field(default_factory=DisentangleConfig)
@@ -58,10 +60,11 @@ def fitting(config: Config, system: System) -> System:
     check_size(config.disentangle, system.size)
     checks.integer("reaction_horizon", config.mask.reaction_horizon, most=system.steps)
     lengths = np.full(config.collect.expert_trajectories, system.steps)
-    config.clone.total_steps(imitated(lengths, config.clone))
-    met = {"encoder", "mask", "region", "expert", "previous_actions"}
+    samples = imitated(lengths, config.clone)
+    met = {*get_args(Need)} - (set() if hasattr(system.nuisance, "cover") else {"cover"})
     for name in config.methods:
-        require(name, met | ({"cover"} if hasattr(system.nuisance, "cover") else set()))
+        require(name, met)
+        configured(METHODS[name], config.clone).total_steps(samples)
     return system
 
 

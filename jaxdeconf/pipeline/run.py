@@ -13,10 +13,11 @@ from jaxdeconf import collect, systems
 from jaxdeconf.collect import Collected
 from jaxdeconf.deconfound import clone_policy, learn_latents, mask_latents
 from jaxdeconf.demos import Demos
-from jaxdeconf.expert import plan
 from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.learn.fit import FitState, Training
 from jaxdeconf.mask import Mask
-from jaxdeconf.methods import METHODS, Evidence, imitated
+from jaxdeconf.method import Evidence
+from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline import judge, machine
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.config import Config, fitting
@@ -28,6 +29,7 @@ from jaxdeconf.pipeline.results import Judged, OutcomeForm, PValues, Results, fi
 from jaxdeconf.pipeline.stages import Run
 from jaxdeconf.pipeline.store import Store, writing
 from jaxdeconf.region import find_region
+from jaxdeconf.rivals.simulator import Simulator
 from jaxdeconf.systems import System
 
 
@@ -66,13 +68,19 @@ def run(
     trial = judge.trial(system, this.key, collected)
     encoder, mask = deconfounded(this, trial)
     region = region_for(trial, encoder, mask.mask, config.methods)
-    evidence = evidence_for(config, system, encoder, mask.mask, region)
+    evidence = evidence_for(config, trial, encoder, mask.mask, region)
     demos = demonstrations_for(config, system, collected)
 
     def drive(policy) -> list[float]:
         return [*judge.rollout_loss(trial, judge.drive(trial, policy))[:2]]
 
-    watch = partial(this.watch, data=collected, visits=visits(config, demos), visit=drive)
+    clones = {f"clone {name}" for name in config.methods}
+
+    def watch(name: str, training: Training) -> FitState:
+        if name not in clones:  # what a method learns before its policy
+            return this.watch(name, training, collected)
+        return this.watch(name, training, collected, config.evaluate.visits(training), drive)
+
     policies = {
         name: clone_policy(name, demos, evidence, this.key, config.clone, watch)
         for name in config.methods
@@ -125,21 +133,12 @@ def region_for(
 
 
 def evidence_for(
-    config: Config, system: System, encoder: Encoder, mask: Array, region: Array | None
+    config: Config, trial: Trial, encoder: Encoder, mask: Array, region: Array | None
 ) -> Evidence:
     """What a method may be made from; a simulator knows all there is."""
-
-    def expert(states: Array) -> Array:
-        return plan(system, states, config.expert).actions[:, 0] / system.limits
-
-    return Evidence(encoder, mask, region, getattr(system.nuisance, "cover", None), expert)
-
-
-def visits(config: Config, demos: Demos) -> tuple[int, ...]:
-    """The steps of cloning after which a policy drives."""
-    samples = imitated(demos.lengths, config.clone)
-    per_epoch = config.clone.steps_per_epoch(samples)
-    return config.evaluate.steps(per_epoch, config.clone.total_steps(samples))
+    cover = getattr(trial.system.nuisance, "cover", None)
+    simulator = Simulator(trial.system, config.expert, trial.collected.expert)
+    return Evidence(encoder, mask, region, cover, simulator.label, trial.held_out, simulator)
 
 
 def _results(

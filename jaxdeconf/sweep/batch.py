@@ -125,7 +125,7 @@ def model_bytes(training: Training) -> float:
 
 def shapes(training: Training) -> tuple[FitState, Any]:
     """A model's first state and its data, as shapes: nothing is made."""
-    data = jax.eval_shape(training.data)
+    data = jax.eval_shape(training.like or training.data)
     return jax.eval_shape(training.start, data), data
 
 

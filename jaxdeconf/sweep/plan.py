@@ -8,8 +8,9 @@ import numpy as np
 
 from jaxdeconf.learn import clone, disentangle
 from jaxdeconf.learn.clone import Demonstrations
-from jaxdeconf.learn.fit import Objective, Training
-from jaxdeconf.methods import METHODS, imitated
+from jaxdeconf.learn.fit import Training
+from jaxdeconf.method import configured, imitated
+from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.pipeline.machine import free_memory
 from jaxdeconf.sweep import batch, grid, shared
@@ -44,13 +45,18 @@ def describe(sweep: Sweep, system: System, shard: tuple[int, int], budget: float
     expert = base.collect.expert_trajectories
     lines.append(f"  collect    {len(data)} × {expert} expert trajectories")
     learn = [_disentangling(config, fitting(config, system)) for config in encoders]
-    lines.append(_stage("β-VAE     ", learn, len(learn), budget))
+    programs = len({batch.Job(training, "").shape for training in learn})
+    lines.append(_stage("β-VAE     ", learn, len(learn), budget, programs))
     lines.append(f"  mask       {len(points)}, in one pass a β-VAE")
     if base.methods:
-        each = shared.distinct(configs, lambda config: repr(config.clone))
-        losses = {METHODS[name].objective for name in base.methods}
-        policies = [_cloning(one, fitting(one, system), loss) for one in each for loss in losses]
-        lines.append(_stage("policies  ", policies, _most_policies(points), budget))
+        each = shared.distinct(configs, lambda config: repr((config.clone, config.methods)))
+        policies = [_cloning(one, fitting(one, system)) for one in each]
+        programs = {
+            (METHODS[name].objective, jax.tree.structure(configured(METHODS[name], one.clone)))
+            for one in each
+            for name in one.methods
+        }
+        lines.append(_stage("policies  ", policies, _most_policies(points), budget, len(programs)))
     return "\n".join(lines)
 
 
@@ -66,11 +72,11 @@ def _most_policies(points: Sequence[Point]) -> int:
     return len(names)
 
 
-def _stage(name: str, trainings: Sequence[Training], models: int, budget: float) -> str:
+def _stage(
+    name: str, trainings: Sequence[Training], models: int, budget: float, programs: int
+) -> str:
     """One training stage's line, from one training of each kind."""
-    first = trainings[0]
-    programs = len({batch.Job(training, "").shape for training in trainings})
-    bytes_ = batch.model_bytes(first)
+    bytes_ = batch.model_bytes(trainings[0])
     room = batch.room(models, bytes_, budget)
     # At most: trajectories may end early, and masks agree.
     return (
@@ -91,8 +97,8 @@ def _disentangling(config: Config, system: System) -> Training:
     return disentangle.training(config.disentangle, images, count, images, jax.random.key(0))
 
 
-def _cloning(config: Config, system: System, objective: Objective) -> Training:
-    """A policy's training, of which only shapes are made."""
+def _cloning(config: Config, system: System) -> Training:
+    """A plain policy's training, of which only shapes are made."""
     lengths = np.full(config.collect.expert_trajectories, system.steps)
     count = imitated(lengths, config.clone)
 
@@ -101,7 +107,7 @@ def _cloning(config: Config, system: System, objective: Objective) -> Training:
         actions = jnp.zeros((count, len(system.action_limit)))
         return Demonstrations(frames, jnp.zeros(count, jnp.int32), actions, actions)
 
-    return clone.training(config.clone, data, count, identity, {}, jax.random.key(0), objective)
+    return clone.training(config.clone, data, count, identity, {}, jax.random.key(0))
 
 
 def half_of_free_memory() -> float:

@@ -18,7 +18,8 @@ from jaxdeconf.deconfound import first_latents
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import Training
-from jaxdeconf.methods import METHODS, Evidence
+from jaxdeconf.method import Evidence
+from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline import judge
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.config import Config, fitting
@@ -181,7 +182,7 @@ def evidence_of(work: Work, config: Config, method: str, mask: np.ndarray) -> Ev
     of = encoder_name(config), mask.tobytes(), "region" in METHODS[method].needs
     if of not in work.regions:
         work.regions[of] = region_for(trial, encoder, latents, [method])
-    return evidence_for(config, trial.system, encoder, latents, work.regions[of])
+    return evidence_for(config, trial, encoder, latents, work.regions[of])
 
 
 class PointMask(NamedTuple):

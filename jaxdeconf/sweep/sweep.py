@@ -19,7 +19,8 @@ import numpy as np
 from jax.experimental import multihost_utils
 
 from jaxdeconf import systems
-from jaxdeconf.methods import METHODS, cloning, imitated
+from jaxdeconf.method import Ask, Method, cloning, imitated
+from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline import judge
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.interruption import Interruption
@@ -48,7 +49,7 @@ from jaxdeconf.systems import System
 class Name(NamedTuple):
     """What a policy depends on: points of the same name share it."""
 
-    method: str
+    method: Method  # without what only names it
     data: str
     sees: str  # fingerprint of what it is made from beside the trajectories
     clone: str
@@ -104,22 +105,22 @@ def _finish(
     jobs, needs = _needed(work, points, masks)
     judged: dict[Name, Judged] = {}
     for point in points:  # what an earlier process found
-        for name in needs[point.index]:
+        for method, name in needs[point.index].items():
             if point.index in done:
-                judged[name] = done[point.index].policies[name.method]
+                judged[name] = done[point.index].policies[method]
     waiting = [point for point in points if point.index not in done]
 
     def complete() -> list[Row]:
         rows = []
-        for point in [p for p in waiting if all(name in judged for name in needs[p.index])]:
+        for point in [p for p in waiting if judged.keys() >= {*needs[p.index].values()}]:
             waiting.remove(point)
-            own = {name.method: judged[name] for name in needs[point.index]}
+            own = {method: judged[name] for method, name in needs[point.index].items()}
             rows.append(_row(work, point, masks.get(point.index), own))
         return rows
 
     if rows := complete():
         yield "masks", rows
-    wanted = {name for point in waiting for name in needs[point.index]} - judged.keys()
+    wanted = {name for point in waiting for name in needs[point.index].values()} - judged.keys()
     groups: dict[Any, list[Name]] = defaultdict(list)
     for name in [name for name in jobs if name in wanted]:
         groups[jobs[name][1].shape].append(name)
@@ -134,14 +135,14 @@ def _finish(
 
 def _needed(
     work: Work, points: Sequence[Point], masks: dict[int, PointMask]
-) -> tuple[dict[Name, tuple[Point, Job]], dict[int, list[Name]]]:
-    """The policies to clone, name -> whose and how; and the names of each point's own."""
+) -> tuple[dict[Name, tuple[Point, Job]], dict[int, dict[str, Name]]]:
+    """The policies to clone, name -> whose and how; and the names of each point's, by method."""
     jobs, needs = {}, {}
     for point in points:
         methods = point.config.methods if point.index in masks else ()
-        own = [_job(work, point, method, masks[point.index].mask) for method in methods]
-        needs[point.index] = [name for name, _ in own]
-        for name, job in own:
+        own = {method: _job(work, point, method, masks[point.index].mask) for method in methods}
+        needs[point.index] = {method: name for method, (name, _) in own.items()}
+        for name, job in own.values():
             jobs.setdefault(name, (point, job))
     return jobs, needs
 
@@ -156,13 +157,13 @@ def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, 
         lambda: demonstrations_for(config, trial.system, trial.collected),
         imitated(lengths, config.clone),
         evidence_of(work, config, name, found),
-        run.key,
-        config.clone,
+        Ask(config.clone, run.key, lambda name, inner: run.watch(name, inner, trial.collected)),
     )
-    sees = fingerprint(training.made_from)
+    data, sees = data_name(config), fingerprint(training.made_from)
     # Without what only the training depends on: the same frames are held once.
-    frames = name, data_name(config), sees, config.clone.trajectory_steps
-    return Name(name, data_name(config), sees, digest(config.clone)), Job(training, frames)
+    frames = method.view, method.data, method.extra, data, sees, config.clone.trajectory_steps
+    recipe = method._replace(note="", needs=(), kind="fair", select=None, strength=None)
+    return Name(recipe, data, sees, digest(training.config)), Job(training, frames)
 
 
 def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[Judged]:

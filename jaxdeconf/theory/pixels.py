@@ -29,7 +29,8 @@ from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.learn.fit import FitState, Training, Watch, finish
 from jaxdeconf.mask import MaskConfig, find_mask
-from jaxdeconf.methods import METHODS, Evidence, masking
+from jaxdeconf.method import Evidence
+from jaxdeconf.methods import METHODS, masking
 from jaxdeconf.region import find_region
 from jaxdeconf.systems import System, Trajectories, cartpole
 from jaxdeconf.systems.rollout import frames

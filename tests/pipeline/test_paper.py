@@ -8,7 +8,7 @@ import pytest
 
 from jaxdeconf import collect, systems
 from jaxdeconf.deconfound import clone_policy, learn_latents, mask_latents
-from jaxdeconf.methods import Evidence
+from jaxdeconf.method import Evidence
 from jaxdeconf.presets import PRESETS
 
 PAPER = PRESETS["cartpole"]["paper"]

@@ -1,0 +1,1 @@
+"""Rival methods against causal confusion: what each needs beside a row of `methods.METHODS`."""
