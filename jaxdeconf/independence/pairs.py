@@ -218,18 +218,18 @@ def _corrections(of: _Groups, weights: Array | None, grid: Grid) -> tuple[Array,
         y = take(of.y, place)
         tied = (of.first_y <= y) & (y <= of.last_y)
         share = jnp.where(tied, 0.25, jnp.where(y < of.y, 0.5, 0.0)) - ((y < of.y) & (x < of.x))
-        return add(sums, jnp.where(there, share, 0.0), lambda: take(weights, place))
+        return add(sums, jnp.where(there, share, 0.0), lambda weight: take(weight, place))
 
     def in_y(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
         y, there = next_in(of.first_y, of.last_y, of.y, k)
         x = take(of.opposite, grid.place(pair, y))
         there = there & ((x < of.first_x) | (of.last_x < x))  # else it was met in x
         share = jnp.where(x < of.x, 0.5, 0.0) - ((x < of.x) & (y < of.y))
-        return add(sums, jnp.where(there, share, 0.0), lambda: weights)
+        return add(sums, jnp.where(there, share, 0.0), lambda weight: weight)
 
-    def add(sums: tuple[Array, Array], share: Array, weight: Callable[[], Array | None]):
+    def add(sums: tuple[Array, Array], share: Array, of_other: Callable[[Array], Array]):
         counts, weighed = sums
-        return counts + share, weighed if weights is None else weighed + share * weight()
+        return counts + share, weighed if weights is None else weighed + share * of_other(weights)
 
     zeros = jnp.zeros(of.y.shape, jnp.float64)
     sums = zeros, zeros if weights is not None else jnp.zeros((), jnp.float64)

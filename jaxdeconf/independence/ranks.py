@@ -172,6 +172,13 @@ def _integer_key(values: Array) -> Array:
     return jnp.where(bits < 0, bits ^ ~lowest, bits)
 
 
+def largest_group(ranks: Ranks) -> int:
+    """The most samples that are tied with one another."""
+    if ranks.first is None or ranks.last is None:
+        return 1
+    return int((ranks.last - ranks.first).max()) + 1
+
+
 def reverse_ties(ranks: Ranks) -> Ranks:
     """The same ranks with the samples of each tie group in the opposite order."""
     ends = jnp.asarray(ranks.first) + jnp.asarray(ranks.last)

@@ -21,7 +21,13 @@ from jaxdeconf.independence.levels import (
     levels_of,
 )
 from jaxdeconf.independence.pairs import SMALL, Statistic, from_ranks, from_values
-from jaxdeconf.independence.ranks import Ranks, columns, rank_on_device, rank_on_host
+from jaxdeconf.independence.ranks import (
+    Ranks,
+    columns,
+    largest_group,
+    rank_on_device,
+    rank_on_host,
+)
 
 
 def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
@@ -94,8 +100,8 @@ def _counted(x: Ranks, y: Ranks, few_x: bool, few_y: bool, statistic: Statistic)
 
 def _general(x: Ranks, y: Ranks, statistic: Statistic) -> Array:
     """The same of any variables; chance ties, as float32 has them, cost less than others."""
-    groups = [int((r.last - r.first).max()) + 1 for r in (x, y) if r.first is not None]
-    small = bool(groups) and max(groups) <= SMALL
+    largest = max(largest_group(x), largest_group(y))
+    small = 1 < largest <= SMALL
     return from_ranks(x, y, statistic, jax.default_backend(), small)
 
 

@@ -60,6 +60,7 @@ CPU = CloneConfig(
     learning_rate=2e-3,
     decay=0.02,
     huber=0.1,
+    average=0.99,
     network=resnet.ResNetConfig(width=16, stem="imagenet"),
 )
 
@@ -171,11 +172,11 @@ def training(
         height, width, channels = data.frames.shape[1:]
         shape = height, width, config.frames * channels
         first = named(key, "policy initial weights")
-        return start(more(resnet.init(config.network, first, shape, data.actions.shape[1])))
+        variables = more(resnet.init(config.network, first, shape, data.actions.shape[1]))
+        return start(variables, config.average is not None)
 
     def trained(state: FitState) -> Policy:
-        variables = {name: state.variables[name] for name in ("params", "batch_stats")}
-        return Policy(view, config.network, config.frames, parameters, variables)
+        return Policy(view, config.network, config.frames, parameters, state.best)
 
     shuffles = named(key, "cloning")
     return Training(objective, config, samples, shuffles, data, begin, trained, parameters)

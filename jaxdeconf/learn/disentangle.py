@@ -137,9 +137,9 @@ def training(
         return initial_state(config, images, named(key, "VAE initial weights"))
 
     def trained(state: FitState) -> Encoder:
-        mean, log_variance = encode(config.network, state.variables, held_out())
+        mean, log_variance = encode(config.network, state.best, held_out())
         kl = jax.jit(kl_divergence)(mean, log_variance).mean(axis=0)
-        return Encoder(config.network, state.variables, kl, kl > ACTIVE_KL)
+        return Encoder(config.network, state.best, kl, kl > ACTIVE_KL)
 
     return Training(objective, config, count, named(key, "VAE training"), images, begin, trained)
 
@@ -165,7 +165,7 @@ def initial_state(config: DisentangleConfig, images: Array, key: Array) -> FitSt
             "decoder": linear.decoder,
             "pixel_mean": linear.mean,
         }
-    return start(variables)
+    return start(variables, config.average is not None)
 
 
 def kl_divergence(mean: Array, log_variance: Array) -> Array:

@@ -27,6 +27,7 @@ Loss = Callable[[Variables, Any, Array, Array, Array], tuple[Array, tuple[Any, d
 Objective = Callable[[Any], Loss]
 
 _MOST_STEPS = 2**31 - 1  # the step is int32
+_AVERAGED = "params", "batch_stats"
 
 
 @traceable
@@ -43,11 +44,16 @@ class FitConfig:
     decay: Traced = 0.96  # the learning rate's factor an epoch, or with `steps` over all of them
     chunk: int = 64  # steps a jitted call; ours: seconds on a CPU, the bar's and a stop's grain
     weight_decay: Traced = 0.0  # decoupled from the gradient (Loshchilov & Hutter 2019); ours: none
+    # What is good for anything is not the last weights but their running average, of which so much
+    # is kept each step (Polyak & Juditsky 1992); with the statistics of normalisation. None: none.
+    average: Traced | None = None
 
     def __post_init__(self):
         for name in ("epochs", "learning_rate", "decay"):
             checks.positive(name, getattr(self, name))
         checks.not_negative("weight_decay", self.weight_decay)
+        if self.average is not None:
+            checks.number("average", self.average, "a number in (0, 1)", 0.0, 1.0)
         for name in ("batch_size", "chunk"):
             checks.integer(name, getattr(self, name))
         if self.steps is not None:
@@ -80,11 +86,22 @@ class FitState(NamedTuple):
     variables: Variables
     moments: Any  # Adam's
     step: Array  # [] int32
+    average: Variables | None = None  # of weights and statistics, where the config asks for one
+
+    @property
+    def best(self) -> Variables:
+        """The weights and statistics that are good for something: averaged ones where there are."""
+        held = self.variables if self.average is None else self.average
+        return {name: held[name] for name in _AVERAGED}
 
 
-def start(variables: Variables) -> FitState:
+def start(variables: Variables, averaged: bool = False) -> FitState:
     """The state before the first step, from {"params": ..., "batch_stats": ...}."""
-    return FitState(variables, optax.scale_by_adam().init(variables["params"]), jnp.int32(0))
+    moments = optax.scale_by_adam().init(variables["params"])
+    average = None
+    if averaged:  # in buffers of its own: those of a state are donated
+        average = jax.tree.map(jnp.array, {name: variables[name] for name in _AVERAGED})
+    return FitState(variables, moments, jnp.int32(0), average)
 
 
 def learning_rate(config: FitConfig, samples: int, step: Array) -> Array:
@@ -129,7 +146,8 @@ def train(
         rate = learning_rate(config, samples, state.step)
         params = jax.tree.map(lambda p, u: p - rate * u, params, updates)
         variables = {**state.variables, "params": params, "batch_stats": batch_stats}
-        return FitState(variables, moments, state.step + 1), {"loss": value, **metrics}
+        average = _averaged(config, state, variables)
+        return FitState(variables, moments, state.step + 1, average), {"loss": value, **metrics}
 
     def body(_: Array, carry: tuple) -> tuple:
         state, total = carry
@@ -140,6 +158,15 @@ def train(
     # A trip count that is data: one compilation serves the shorter chunk at an epoch's end.
     state, total = jax.lax.fori_loop(0, length, body, (state, zeros))
     return state, jax.tree.map(lambda a: a / length, total)
+
+
+def _averaged(config: FitConfig, state: FitState, variables: Variables) -> Variables | None:
+    """The average after a step; its first steps forget faster, or it would begin at random."""
+    if state.average is None or config.average is None:
+        return None
+    kept = jnp.minimum(config.average, (1.0 + state.step) / (10.0 + state.step))
+    new = {name: variables[name] for name in state.average}
+    return jax.tree.map(lambda old, now: now + kept * (old - now), state.average, new)
 
 
 @partial(jax.jit, static_argnames=("objective", "samples"), donate_argnames="state")

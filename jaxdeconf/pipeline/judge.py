@@ -109,16 +109,21 @@ def judge_expert(system: System, collected: Collected) -> JudgedExpert:
     )
 
 
-def drive(trial: Trial, policy: Policy) -> Trajectories:
-    """Rollouts of a policy from the initial states that all policies of a run share."""
+def drive(trial: Trial, policy: Policy, rollouts: int | None = None) -> Trajectories:
+    """Rollouts of a policy from the initial states that all policies of a run share, or the first.
+
+    Those of more rollouts begin with those of fewer.
+    """
     states, key = trial.collected.evaluation.states[:, 0], named(trial.key, "evaluation")
-    return evaluate.drive(trial.system, policy, states, key)
+    return evaluate.drive(trial.system, policy, states[:rollouts], key)
 
 
 def rollout_loss(trial: Trial, driven: Trajectories) -> Losses:
     """Over the rollouts of a policy."""
-    loss = evaluate.rollout_loss(trial.system, driven)
-    return Losses(float(loss.mean()), float(loss.std()))
+    loss = np.asarray(evaluate.rollout_loss(trial.system, driven))
+    error = loss.std(ddof=1) / np.sqrt(len(loss)) if len(loss) > 1 else np.nan
+    mean, std, error, median = map(float, (loss.mean(), loss.std(), error, np.median(loss)))
+    return Losses(mean, std, [], error, median)
 
 
 def judge_policy(

@@ -22,6 +22,8 @@ class Losses(NamedTuple):
     mean: float
     std: float
     per_epoch: list[list[float]] = []  # noqa: RUF012  [epoch, mean, std] while it was trained
+    error: float = float("nan")  # standard error of the mean: over rollouts, or over seeds
+    median: float = float("nan")
 
 
 class Judged(NamedTuple):

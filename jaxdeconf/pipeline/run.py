@@ -72,7 +72,8 @@ def run(
     demos = demonstrations_for(config, system, collected)
 
     def drive(policy) -> list[float]:
-        return [*judge.rollout_loss(trial, judge.drive(trial, policy))[:2]]
+        driven = judge.drive(trial, policy, config.evaluate.training_rollouts)
+        return [*judge.rollout_loss(trial, driven)[:2]]
 
     clones = {f"clone {name}" for name in config.methods}
 

@@ -64,7 +64,9 @@ def averaged(runs: Sequence[Results]) -> Results:
     policies = {}
     for name, first in runs[0].policies.items():
         losses = [run.policies[name].rollout_loss for run in runs]
-        mean = Losses(*_mean([one.mean for one in losses]), _over_seeds(losses))
+        means = np.array([one.mean for one in losses], float)
+        error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 1 else np.nan
+        mean = Losses(*_mean(means), _over_seeds(losses), float(error), float(np.median(means)))
         policies[name] = first._replace(rollout_loss=mean)
     expert = _mean([run.expert.rollout_loss for run in runs])[0]
     return runs[0]._replace(policies=policies, expert=runs[0].expert._replace(rollout_loss=expert))
@@ -77,7 +79,7 @@ def _over_seeds(losses: Sequence[Losses]) -> list[list[float]]:
     return [[epoch, *_mean([curve[epoch] for curve in curves])] for epoch in epochs]
 
 
-def _mean(values: Sequence[float]) -> tuple[float, float]:
+def _mean(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     """Mean and standard deviation; the latter is NaN where a value is not finite."""
     known = np.array(values, float)  # None, which JSON has for it, is NaN
     with np.errstate(invalid="ignore"):
@@ -112,7 +114,7 @@ def redraw(directory: Path) -> str:
 def _policies(results: Results) -> Iterator[str]:
     expert, (head, rows) = results.expert, words.policies(results)
     note = (
-        "Rollout loss: mean stage cost a step, ± standard deviation over rollouts. "
+        "Rollout loss: mean stage cost a step, ± standard error over rollouts. "
         f"{results.outcome.note} Copycat: mean change of the action over its limit, 0 to 2, when "
         "only the nuisance is redrawn. Leakage: share of the previous action's variance that a "
         "regression finds in what the policy sees, on held-out frames."
@@ -182,8 +184,12 @@ def _seeds(runs: Sequence[Results]) -> Iterator[str]:
         minutes = fixed(sum(run.seconds.values()) / 60.0, 1)
         first.append([str(run.seed), *map(loss, own)])
         second.append([first[-1][0], words.listing(words.masked(run)), *map(number, over), minutes])
-    first.append(["mean", *map(loss, losses.mean(axis=0))])
-    second.append(["mean", "", *map(number, ratios.mean(axis=0)), ""])
+    first.append(["mean", *map(words.mean, losses.T)])
+    second.append(["mean", "", *map(words.mean, ratios.T), ""])
     head = ["seed", "masked", *(f"{above} / {below}" for above, below in pairs), "minutes"]
-    yield page.table(["seed", *names], first, "Rollout loss: mean stage cost a step.")
-    yield page.table(head, second, "Ratios of rollout losses.")
+    yield page.table(
+        ["seed", *names],
+        first,
+        "Rollout loss: mean stage cost a step; ± standard error over seeds.",
+    )
+    yield page.table(head, second, "Ratios of rollout losses; ± standard error over seeds.")

@@ -64,7 +64,7 @@ def table(sweep: Sweep, rows: Sequence[Row]) -> tuple[list[str], list[list[str]]
         losses = [words.spread(one.rollout_loss) if one else "diverged" for one in policies]
         expert = words.loss(row.expert.rollout_loss) if row.expert else "–"
         cells.append([str(row.point), *values, mask, *scores, *losses, expert])
-    note = "Sorted by rollout loss (mean stage cost a step, ± standard deviation over rollouts)."
+    note = "Sorted by rollout loss (mean stage cost a step, ± standard error over rollouts)."
     return head, cells, note
 
 

@@ -44,9 +44,15 @@ def loss(value: float) -> str:
 
 
 def spread(losses: Losses) -> str:
-    """Mean and standard deviation over rollouts."""
-    known = math.isfinite(losses.mean)
-    return f"{loss(losses.mean)} ± {number(losses.std)}" if known else loss(losses.mean)
+    """Mean and its standard error, where there is one."""
+    known = math.isfinite(losses.mean) and math.isfinite(losses.error)
+    return f"{loss(losses.mean)} ± {number(losses.error)}" if known else loss(losses.mean)
+
+
+def mean(values: np.ndarray) -> str:
+    """Mean of several seeds' numbers, and its standard error."""
+    error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+    return spread(Losses(float(values.mean()), np.nan, [], float(error)))
 
 
 def percent(share: float) -> str:
@@ -215,13 +221,16 @@ def of_policies(results: Results) -> list[str]:
 
 def policies(results: Results) -> tuple[list[str], list[list[str]]]:
     """Head and rows of a table of what policies, and the expert, came to."""
-    head = ["", "rollout loss", results.outcome.name, "copycat", "leakage R²", "train loss"]
+    scores = ["copycat", "leakage R²", "train loss"]
+    head = ["", "rollout loss", "median", results.outcome.name, *scores]
     rows = []
     for name in ordered(results.policies):
         judged = results.policies[name]
         scores = [fixed(judged.copycat, 3), fixed(judged.leakage, 3), loss(judged.train_loss)]
-        rows.append([name, spread(judged.rollout_loss), outcome(results, judged), *scores])
-    expert = [loss(results.expert.rollout_loss), outcome(results, results.expert)]
+        driven = judged.rollout_loss
+        drove = [spread(driven), loss(driven.median), outcome(results, judged)]
+        rows.append([name, *drove, *scores])
+    expert = [loss(results.expert.rollout_loss), "–", outcome(results, results.expert)]
     return head, [*rows, [EXPERT, *expert, "–", "–", "–"]]
 
 

@@ -158,8 +158,8 @@ def mask_rates(
             of = scene.system, scene.encoder, scene.collected.expert, coupling, keys
             columns = _columns(*of, config.dataset, config.mask.reaction_horizon)
             gamma, alpha = config.mask.threshold, config.mask.alpha
-            found = [find_mask(*one, gamma, alpha).mask for one in zip(*columns, strict=True)]
-            return jnp.stack(found)
+            datasets = zip(*columns, strict=True)
+            return jnp.stack([find_mask(s, o, a, gamma, alpha).mask for s, o, a in datasets])
 
         found = np.asarray(stage(f"masks {coupling:g}", masks))
         n, gamma = config.dataset, config.mask.threshold

@@ -1,6 +1,7 @@
 """The training loop against Adam in NumPy, and its promise that chunks do not matter."""
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +54,25 @@ def test_a_step_is_adam_with_exponential_decay(data):
         w = w - 0.1 * 0.5**step * corrected[0] / (np.sqrt(corrected[1]) + 1e-8)
     np.testing.assert_allclose(state.variables["params"]["w"], w, rtol=1e-5)
     assert state.variables["batch_stats"] == 2
+
+
+def test_the_average_forgets_as_it_is_told_but_its_first_steps_faster(data):
+    config = FitConfig(epochs=30, batch_size=SAMPLES, learning_rate=0.1, chunk=1, average=0.8)
+    weights = {"params": {"w": jnp.zeros(SIZE)}, "batch_stats": jnp.float32(0)}
+    state = start({**weights, "frozen": jnp.ones(1)}, averaged=True)
+    expected, statistics = np.zeros(SIZE), 0.0
+    for reached, _ in fit(least_squares, state, data, SAMPLES, jax.random.key(1), config):
+        step = int(reached.step) - 1
+        kept = min(0.8, (1 + step) / (10 + step))
+        expected = kept * expected + (1 - kept) * np.asarray(reached.variables["params"]["w"])
+        statistics = kept * statistics + (1 - kept) * (step + 1)
+        assert reached.best.keys() == {"params", "batch_stats"}
+        np.testing.assert_allclose(reached.best["params"]["w"], expected, rtol=1e-5)
+        np.testing.assert_allclose(reached.best["batch_stats"], statistics, rtol=1e-5)
+    plain, _ = last(replace(config, average=None), data)
+    assert plain.average is None
+    assert plain.best["params"]["w"] is plain.variables["params"]["w"]
+    np.testing.assert_array_equal(reached.variables["params"]["w"], plain.best["params"]["w"])
 
 
 def test_it_learns(data):

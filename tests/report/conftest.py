@@ -23,7 +23,7 @@ LOSSES = {"BcVanilla": 9.1, "BcManual": 1.3, "Masked": 1.5, "Reconstructed": 8.0
 
 def judged(loss: float) -> Judged:
     curve = [[e, loss * (1 + 3 * math.exp(-e / 4)), loss / (1 + 0.4 * e)] for e in (1, 5, 10, 20)]
-    losses = Losses(loss, curve[-1][2], curve)
+    losses = Losses(loss, curve[-1][2], curve, curve[-1][2] / 10, 0.9 * loss)
     return Judged(losses, min(1.0, 2.0 / loss), 0.1 * loss, 0.1 * loss, 0.01 * loss)
 
 

@@ -33,7 +33,7 @@ def rows_of(sweep: Sweep) -> list[Row]:
     for point, (seed, *values) in enumerate(grid):
         masked = values[0] > sweep.axes[0].values[0] if values else True
         policies = {
-            name: Judged(Losses(2.0 + place + 0.1 * point, 0.3), 0.5, 0.1, 0.2, 0.01)
+            name: Judged(Losses(2.0 + place + 0.1 * point, 0.3, [], 0.3), 0.5, 0.1, 0.2, 0.01)
             for place, name in enumerate(sweep.base.methods)
         }
         found = Row(point, {"seed": seed, **dict(zip(names, values, strict=True))}, [], policies)
