@@ -23,6 +23,11 @@ def usual() -> tuple[str, ...]:
     return tuple(name for name, method in METHODS.items() if not method.rival)
 
 
+def named_by(kind: str) -> tuple[str, ...]:
+    """The methods of a kind, in the table's order; "all" are all."""
+    return tuple(name for name, row in METHODS.items() if kind in ("all", row.kind))
+
+
 def require(name: str, met: Collection[str]) -> None:
     """Refuses a method that is not in the table, or that needs more than is met.
 

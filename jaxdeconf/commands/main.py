@@ -7,6 +7,7 @@ _COMMANDS = {
     "cartpole": "a cart with a pole; a square shows the last force",
     "reacher": "a two-link arm; a dot shows the last torques",
     "mask": "your own demonstrations, with the nuisance taken out of every frame",
+    "compare": "methods against causal confusion side by side, on the same data",
     "sweep": "a grid of fields and seeds; what points share is done once",
     "theory": "every claim of the paper as an experiment; what the intervention is for",
     "report": "draw a finished run's report again",
@@ -46,6 +47,10 @@ def _command(name: str, words: list[str]) -> int:
         from jaxdeconf.commands import theory
 
         return theory.main(words)
+    if name == "compare":
+        from jaxdeconf.commands import compare
+
+        return compare.main(words)
     if name == "sweep":
         from jaxdeconf.commands import sweep
 

@@ -16,7 +16,7 @@ from jaxdeconf.pipeline.store import StoreError, WriteError, cause
 class Arguments:
     """What can be said on the command line."""
 
-    # Of a run, several seeds' runs, a masking, the theory's experiments or a sweep.
+    # Of a run, several seeds' runs, a masking, the theory's experiments, a sweep or a comparison.
     directory: tyro.conf.Positional[Path]
 
 
@@ -36,11 +36,14 @@ def _redraw(directory: Path) -> Path:
     from jaxdeconf.owndata.results import Found
     from jaxdeconf.pipeline.results import finished
     from jaxdeconf.pipeline.theory import Theory
-    from jaxdeconf.report import owndata, run, sweep, theory
+    from jaxdeconf.report import compare, owndata, run, sweep, theory
+    from jaxdeconf.sweep.grid import METHODS_AXIS
     from jaxdeconf.sweep.log import Log, read_sweep
 
     if (directory / "sweep.json").exists():
-        sweep.write(directory, read_sweep(directory), Log(directory).rows())
+        held = read_sweep(directory)
+        of_methods = any(axis.name == METHODS_AXIS for axis in held.axes)
+        (compare if of_methods else sweep).write(directory, held, Log(directory).rows())
         return directory / "report.html"
     kinds = {Found: owndata, Theory: theory}
     found = (report for kind, report in kinds.items() if finished(directory, kind))

@@ -9,7 +9,7 @@ experiment (--clone.epochs 0.5, --methods ...) changes all points.
 
 import contextlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,14 @@ from jaxdeconf.pipeline import machine
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.owner import owned
+from jaxdeconf.pipeline.results import Row
 from jaxdeconf.pipeline.store import StoreError, require_free
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.sweep.grid import read_axis
 from jaxdeconf.sweep.log import Log, Sweep, read_sweep, require_same, write_sweep
+
+# Writes the report of a sweep's rows to a directory; returns lines for the terminal.
+Draw = Callable[[Path, Sweep, Sequence[Row]], str]
 
 
 @dataclass(frozen=True)
@@ -60,16 +64,36 @@ def main(arguments: Sequence[str], presets: Mapping[str, Mapping[str, Config]] =
     Returns:
       The exit code, as of `guard.guarded`.
     """
+    return perform("sweep", lambda: read(arguments, presets), _draw)
+
+
+def _draw(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
+    from jaxdeconf.report.sweep import write  # late: see `_run`
+
+    return write(directory, sweep, rows)
+
+
+def perform(name: str, read: Callable[[], tuple[Arguments, Sweep]], draw: Draw) -> int:
+    """Does a sweep, and draws what came of it.
+
+    Args:
+      name: of the directory, where none is named.
+      read: the arguments, and the sweep that they ask for; ValueError or StoreError if they cannot.
+      draw: writes the report.
+    Returns:
+      The exit code, as of `guard.guarded`.
+    """
     try:
-        asked, sweep = read(arguments, presets)
+        asked, sweep = read()
         shard = _shard(asked.shard)
         _devices(asked)
     except (ValueError, StoreError) as error:
         return complain(error, 2)
     base = asked.config
-    fallback = Path("runs") / f"{base.system}-{base.preset}-sweep"
+    fallback = Path("runs") / f"{base.system}-{base.preset}-{name}"
     directory = asked.resume or asked.out or fallback
-    return guarded(lambda stop: _run(asked, sweep, Log(directory, shard), shard, stop), directory)
+    log = Log(directory, shard)
+    return guarded(lambda stop: _run(asked, sweep, log, shard, draw, stop), directory)
 
 
 def read(
@@ -83,12 +107,12 @@ def read(
     """
     early = first(words)
     checks.one_of("--system", early.system, tuple(presets))
-    place = early.held
-    held = None if place is None else read_sweep(place)
-    if held is None:
+    place, held = early.held, None
+    if place is None:
         preset = choose(presets[early.system], early.preset)
         default = Arguments(config=replace(preset, methods=masking()[:1]))
     else:
+        held = read_sweep(place)
         default = Arguments(config=held.base, seeds=held.seeds)
     asked = parse(Arguments, "jaxdeconf sweep", __doc__ or "", words, default)
     axes = tuple(read_axis(word, asked.config, parse_value) for word in asked.grid)
@@ -123,12 +147,16 @@ def _devices(asked: Arguments) -> None:
 
 
 def _run(
-    asked: Arguments, sweep: Sweep, log: Log, shard: tuple[int, int], interruption: Interruption
+    asked: Arguments,
+    sweep: Sweep,
+    log: Log,
+    shard: tuple[int, int],
+    draw: Draw,
+    interruption: Interruption,
 ) -> None:
     """Does a sweep, or a part of it, and says what came of it."""
     # Imported late: --help and a mistyped flag do not wait for the rest to load.
     from jaxdeconf.pipeline.progress import Reporter
-    from jaxdeconf.report.sweep import write
     from jaxdeconf.sweep import plan
     from jaxdeconf.sweep import sweep as sweeping
 
@@ -146,7 +174,7 @@ def _run(
             multihost_utils.sync_global_devices("opened")
         rows = sweeping.sweep(sweep, log, Reporter(), interruption, budget, shard, system)
         if alone:
-            print(write(log.directory, sweep, rows))
+            print(draw(log.directory, sweep, rows))
 
 
 def _open(asked: Arguments, sweep: Sweep, log: Log, shard: tuple[int, int]) -> None:

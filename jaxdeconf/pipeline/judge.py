@@ -147,8 +147,31 @@ def judge_policy(
         copycat=float(copied),
         leakage=float(leaked(trial, policy.view, policy.parameters)),
         train_loss=train_loss,
+        predictability=predictability(trial, driven),
     )
     return judged, driven
+
+
+def predictability(trial: Trial, driven: Trajectories) -> float:
+    """The error of telling an action from the one before, over that of the expert's actions."""
+    clone, expert = (_unpredicted(trial, one) for one in (driven, trial.collected.evaluation))
+    return clone / expert if expert > 0 else float("nan")
+
+
+def _unpredicted(trial: Trial, driven: Trajectories) -> float:
+    """Mean squared error of a regression on half of the trajectories, judged on the others.
+
+    Without first steps, before which nobody acted.
+    """
+    past, acted = driven.actions[:, :-1], driven.actions[:, 1:]
+    half, limits = len(past) // 2, trial.system.limits
+    stride = -(-half * past.shape[1] // _JUDGE_FRAMES)
+    (x, y), (test_x, test_y) = (
+        [(v[part] / limits).reshape(-1, len(limits))[::stride] for v in (past, acted)]
+        for part in (slice(half), slice(half, None))
+    )
+    share = leakage.r_squared_each(x, y, test_x, test_y, named(trial.key, "predictability"))
+    return float(((1.0 - share) * test_y.var(axis=0)).mean())
 
 
 def leaked(trial: Trial, view: View, parameters: Any) -> Array:

@@ -34,6 +34,10 @@ class Judged(NamedTuple):
     copycat: float  # mean change of the action over its limit when only the nuisance is redrawn
     leakage: float  # R² of the previous action, regressed from what the policy sees
     train_loss: float  # mean since the evaluation before the last
+    # Error of telling an action from the one before, on its rollouts over that on the expert's:
+    # below 1 is a copycat (Wen et al. 2020).
+    predictability: float = float("nan")
+    seconds: float = float("nan")  # of training; beside others, where several train at once
 
 
 class JudgedExpert(NamedTuple):

@@ -92,7 +92,8 @@ def run(
         with this.reporter.bar(f"judge {name}", 1) as bar:
             history = this.history[f"clone {name}"]
             curve = [[epoch, *losses] for epoch, _, *losses in history]
-            judged[name], driven[name] = judge.judge_policy(trial, policy, history[-1][1], curve)
+            found, driven[name] = judge.judge_policy(trial, policy, history[-1][1], curve)
+            judged[name] = found._replace(seconds=this.seconds[f"clone {name}"])
             bar.update(1, f"rollout loss {judged[name].rollout_loss.mean:.3g}")
         this.interruption.check()
     found = _results(this, trial, encoder, mask, region, judged)

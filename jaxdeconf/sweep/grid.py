@@ -13,7 +13,7 @@ import jax
 
 from jaxdeconf.pipeline.config import Config
 
-SEED = "seed"
+SEED, METHODS_AXIS = "seed", "methods"
 
 
 class Axis(NamedTuple):
@@ -100,6 +100,8 @@ def replace(config: Config, changes: Mapping[str, Any]) -> Config:
 
 def shown(value: Any) -> str:
     """A field's value, for people."""
+    if isinstance(value, tuple):
+        return " ".join(map(shown, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -1,0 +1,182 @@
+"""A comparison's table, lines and page: methods by what their policies came to, over seeds.
+
+Shapes: K seeds.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxdeconf.methods import METHODS
+from jaxdeconf.pipeline.plain import to_plain
+from jaxdeconf.pipeline.results import Judged, Row
+from jaxdeconf.pipeline.store import writing
+from jaxdeconf.report import canvas, page, words
+from jaxdeconf.report.words import EXPERT
+from jaxdeconf.sweep.grid import METHODS_AXIS
+from jaxdeconf.sweep.log import Sweep
+
+FILE = "compare.jsonl"
+_KINDS = ("fair", "oracle", "control")
+_MOST_AGAINST = 0.8  # share of the seeds that must agree for a difference to hold
+
+
+class Standing(NamedTuple):
+    """A method over the seeds."""
+
+    method: str
+    seeds: list[int]  # [K]
+    judged: list[Judged]  # [K]
+    experts: np.ndarray  # [K] the expert's rollout loss
+
+    @property
+    def losses(self) -> np.ndarray:
+        """[K] mean rollout losses."""
+        return np.array([one.rollout_loss.mean for one in self.judged])
+
+    def mean(self, name: str) -> float:
+        """Of a number of the policies, over the seeds."""
+        return float(np.mean([getattr(one, name) for one in self.judged]))
+
+
+def write(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
+    """Writes compare.jsonl, `figures/` and `report.html`; returns lines for the terminal."""
+    canvas.import_matplotlib()
+    from jaxdeconf.report.compare_figures import FIGURES
+
+    count, body = len(sweep.points), []
+    with writing(directory):
+        lines = [json.dumps(to_plain(line), allow_nan=False) for line in records(rows)]
+        (directory / FILE).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        if len(rows) < count:
+            body.append(page.paragraph([f"{count - len(rows)} of {count} are not done."], "strong"))
+        said = []
+        for number, (scene, own) in enumerate(scenes(sweep, rows).items()):
+            found = standings(own)
+            drawn = canvas.write(directory / "figures" / f"{number}", FIGURES, found)
+            head, cells, note = table(found)
+            body += [page.heading(scene or "Methods"), page.table(head, cells, note)]
+            body += [page.paragraph(differences(found)), *page.images(drawn)]
+            said += [*([scene] if scene else []), *words.aligned(head, cells), *differences(found)]
+        body += [page.heading("What they are"), _notes(rows)]
+        subject = words.subject(sweep.base.system, sweep.base.preset, sweep.base)
+        title = f"{subject}: methods side by side, {sweep.seeds} seeds"
+        page.write(directory / "report.html", title, body)
+    return "\n".join([*said, f"report: {directory / 'report.html'}"])
+
+
+def records(rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
+    """A line a method and seed, flat, for other programs."""
+    for row in rows:
+        for name, judged in row.policies.items():
+            loss = judged.rollout_loss
+            yield {
+                "method": name,
+                "seed": row.values["seed"],
+                "fair": words.kind(name) == "fair",
+                "kind": words.kind(name),
+                **{k: v for k, v in row.values.items() if k not in ("seed", METHODS_AXIS)},
+                "rollout_loss": loss.mean,
+                "rollout_loss_se": loss.error,
+                "rollout_loss_median": loss.median,
+                "expert_loss": row.expert.rollout_loss if row.expert else float("nan"),
+                "outcome": judged.outcome,
+                "train_loss": judged.train_loss,
+                "copycat": judged.copycat,
+                "predictability": judged.predictability,
+                "leakage": judged.leakage,
+                "minutes": judged.seconds / 60.0,
+            }
+
+
+def scenes(sweep: Sweep, rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows of each combination of the other axes' values, by its name."""
+    axes = [axis for axis in sweep.axes if axis.name != METHODS_AXIS]
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        name = ", ".join(f"{axis.name} = {words.shown(row.values[axis.name])}" for axis in axes)
+        found.setdefault(name, []).append(row)
+    return found
+
+
+def standings(rows: Sequence[Row]) -> list[Standing]:
+    """Fair methods first, then oracles, then controls; of a kind, the lowest loss first."""
+    found: dict[str, list[tuple[int, Judged, float]]] = {}
+    for row in sorted(rows, key=lambda row: row.values["seed"]):
+        expert = row.expert.rollout_loss if row.expert else np.nan
+        for name, judged in row.policies.items():
+            found.setdefault(name, []).append((row.values["seed"], judged, expert))
+    every = []
+    for name, held in found.items():
+        seeds, judged, experts = zip(*held, strict=True)
+        every.append(Standing(name, list(seeds), list(judged), np.array(experts)))
+
+    def place(one: Standing) -> tuple[int, float]:
+        loss = one.losses.mean()
+        return _KINDS.index(words.kind(one.method)), loss if np.isfinite(loss) else np.inf
+
+    return sorted(every, key=place)
+
+
+def table(found: Sequence[Standing]) -> tuple[list[str], list[list[str]], str]:
+    """Head, cells and note."""
+    head = ["", "kind", "seeds", "rollout loss", f"/ {EXPERT}", "median", "outcome", "train loss"]
+    head += ["copycat", "predictability", "leakage R²", "minutes"]
+    cells = []
+    for one in found:
+        medians = np.array([judged.rollout_loss.median for judged in one.judged])
+        cells.append(
+            [
+                one.method,
+                words.kind(one.method),
+                str(len(one.seeds)),
+                words.mean(one.losses),
+                words.number(float((one.losses / one.experts).mean())),
+                words.loss(float(medians.mean())),
+                words.number(one.mean("outcome")),
+                words.loss(one.mean("train_loss")),
+                words.fixed(one.mean("copycat"), 3),
+                words.number(one.mean("predictability")),
+                words.fixed(one.mean("leakage"), 3),
+                words.fixed(one.mean("seconds") / 60.0, 1),
+            ]
+        )
+    note = (
+        "Mean stage cost a step, ± standard error over seeds; median over rollouts. Copycat: mean "
+        "change of the action over its limit when only the nuisance is redrawn. Predictability: "
+        "error of telling an action from the one before, over the expert's; below 1 is a copycat."
+    )
+    return head, cells, note
+
+
+def differences(found: Sequence[Standing]) -> list[str]:
+    """Which methods differ from the plain one, paired over seeds: the first in the table."""
+    names = words.ordered([one.method for one in found])
+    plain = next(one for one in found if one.method == names[0])
+    sentences = []
+    for one in found:
+        shared = [seed for seed in plain.seeds if seed in one.seeds]
+        if one is plain or len(shared) < 2:
+            continue
+        own, other = (
+            np.array([of.losses[of.seeds.index(seed)] for seed in shared]) for of in (one, plain)
+        )
+        difference = own - other
+        better = int((difference < 0).sum())
+        error = difference.std(ddof=1) / np.sqrt(len(shared))
+        agree = max(better, len(shared) - better) >= _MOST_AGAINST * len(shared)
+        holds = agree and abs(difference.mean()) > 2 * error
+        sentences.append(
+            f"{one.method} against {plain.method}: {words.mean(difference)}, lower on {better} of "
+            f"{len(shared)} seeds; {'it holds' if holds else 'not to be told from none'}."
+        )
+    return sentences
+
+
+def _notes(rows: Sequence[Row]) -> str:
+    names = words.ordered({name for row in rows for name in row.policies})
+    known = [[name, METHODS[name].kind, METHODS[name].note] for name in names if name in METHODS]
+    return page.table(["", "kind", "what it is cloned on"], known)
