@@ -99,7 +99,7 @@ def receding_horizon(
         solution = _solve_cold(system, state, config)
         return Memory(solution.actions, jnp.zeros((), jnp.int32))
 
-    def policy(memory: Memory, state: Array, previous_action: Array, key: Array):
+    def policy(memory: Memory, state: Array, signal: Array, key: Array):
         solution = ilqr.solve(system, state, memory.plan, config.step_iterations)
         actions = solution.actions
         rest = jnp.concatenate([actions[1:], actions[-1:]])
@@ -117,7 +117,7 @@ def expert_trajectories(
     Args:
       system: what moves.
       initial_states: [N, S] finite, in the system's units.
-      key: draws the random previous action of each trajectory's first step.
+      key: draws the random actions before each trajectory's first step.
       config: the default is `ExpertConfig()`.
     Returns:
       Trajectories [N, T, ...], and unconverged [N] int: in how many of the T steps the plan had
