@@ -9,6 +9,7 @@ are replaced. Shapes: N episodes, T steps, A action.
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -63,10 +64,10 @@ def aggregated(demos: Demos, evidence: Evidence, ask: Ask) -> Demos:
     from fresh weights. So N trajectories are cloned in every round.
     """
     count, steps = demos.images.shape[:2]
-    for turn in range(_ROUNDS):
+    keys = jax.random.split(named(ask.key, "clone drives"), _ROUNDS)
+    for turn, key in enumerate(keys):
         policy = _cloned(demos, ask, f"clone Dagger, round {turn + 1}")
         rows = slice(turn * (count // 4), (turn + 1) * (count // 4))
-        key = named(ask.key, f"clone drives, round {turn + 1}")
         driven = evidence.simulator.driven(policy, key, steps, rows)
         demos = replaced(demos, rows, evidence.simulator.labelled(driven))
     return demos

@@ -44,6 +44,9 @@ ALONE = {
     "region",
     # Of a dataset of one's own.
     *("linear start", "check", "told", "stability", "retention", "written"),
+    # Of rivals.
+    *("shaken", "clone drives", "nuisance redrawn", "probe"),
+    *("CCIL initial weights", "CCIL training", "CCIL queries", "CCIL returns"),
     # Of the theory's experiments.
     *("structures", "structural data", "normal columns", "pairs"),
     *("square", "first squares", "coupled", "driven", "redrawn"),
