@@ -11,8 +11,8 @@ from jaxdeconf import systems
 from jaxdeconf.expert import ExpertConfig, expert_trajectories, plan, receding_horizon, relabel
 from jaxdeconf.systems.rollout import rollout
 
-SYSTEM = replace(systems.get("cartpole"), steps=12)
-USUAL = ExpertConfig(horizon=12, initial_iterations=20)
+SYSTEM = replace(systems.get("cartpole"), steps=20)
+USUAL = ExpertConfig(horizon=20, initial_iterations=30)
 LONGER = replace(USUAL, step_iterations=5, restart=True)
 KEYS = jax.random.split(jax.random.key(0), 12)
 STARTS = jax.vmap(SYSTEM.sample_initial)(KEYS)
