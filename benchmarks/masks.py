@@ -71,7 +71,7 @@ def measure(seed: int) -> Seed:
     valid = np.flatnonzero(np.asarray(random.valid))
     chosen = np.random.default_rng(seed).choice(valid, _LEARNED + _JUDGED, replace=False)
     some = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:])[chosen], random)
-    images, signal = flat(frames(CARTPOLE, some)), some.previous_actions / CARTPOLE.limits
+    images, signal = flat(frames(CARTPOLE, some)), some.signals / CARTPOLE.limits
     count = CONFIG.disentangle.network.latents
     start = linear_start(images[:_LEARNED], count, named(key, "linear start"))
 

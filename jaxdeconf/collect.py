@@ -6,7 +6,7 @@ Shapes: N trajectories, T time, n frames, H × W pixels, A action.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 from jax import Array
@@ -17,6 +17,7 @@ from jaxdeconf.expert import ExpertConfig, expert_trajectories
 from jaxdeconf.keys import named
 from jaxdeconf.systems import System, Trajectories, random_trajectories
 from jaxdeconf.systems.rollout import frames
+from jaxdeconf.systems.signal import SIGNALS
 from jaxdeconf.traced import traceable
 
 
@@ -32,6 +33,8 @@ class CollectConfig:
     # paper's. More trajectories of fewer steps show more initial states.
     random_steps: int | None = None
     size: tuple[int, int] | None = None  # H, W of the frames; None: the system's own
+    # What the nuisance shows; the paper's is the previous action. See `systems.signal`.
+    nuisance: Literal["previous_action", "two_steps_ago", "filtered"] = "previous_action"
 
     def __post_init__(self):
         for name in ("random_trajectories", "held_out_trajectories"):
@@ -42,6 +45,7 @@ class CollectConfig:
             checks.integer("random_steps", self.random_steps)
         if self.size is not None:
             checks.size("size", self.size)
+        checks.one_of("nuisance", self.nuisance, tuple(SIGNALS))
 
 
 class Collected(NamedTuple):
@@ -99,14 +103,15 @@ def exploration(system: System, trajectories: Trajectories) -> Exploration:
     """The frames of all valid steps of random-policy trajectories."""
     known = jax.device_get(trajectories)  # NumPy compiles nothing
     flat = jax.tree.map(lambda a: a[known.valid], known)
-    return Exploration(frames(system, flat), flat.previous_actions / system.limits)
+    past = flat.previous_actions / system.limits, flat.signals / system.limits
+    return Exploration(frames(system, flat), *past)
 
 
 def demonstrations(system: System, trajectories: Trajectories, steps: int | None = None) -> Demos:
     """The first steps of an expert's trajectories, drawn; None is all steps."""
     first = jax.tree.map(lambda a: a[:, :steps], jax.device_get(trajectories))
     return Demos(
-        images=_draw(system, first),
+        images=draw(system, first),
         actions=first.actions / system.limits,
         initial_states=first.states[:, 0],
         valid=None if first.valid.all() else first.valid,
@@ -117,6 +122,6 @@ def demonstrations(system: System, trajectories: Trajectories, steps: int | None
 
 
 @partial(jax.jit, static_argnames="system")
-def _draw(system: System, trajectories: Trajectories) -> Array:
-    """uint8 [N, T, H, W, 3], one trajectory at a time."""
+def draw(system: System, trajectories: Trajectories) -> Array:
+    """uint8 [N, T, H, W, 3] the frames of trajectories, one of these at a time."""
     return jax.lax.map(partial(frames, system), trajectories)

@@ -14,10 +14,11 @@ from jaxdeconf import checks
 
 
 class Exploration(NamedTuple):
-    """Frames under a random policy, and what it did before each."""
+    """Frames under a random policy, what it did before each, and what the nuisance shows."""
 
     images: Any  # uint8 [n, H, W, 3]
     previous_actions: Any  # [n, A] over the limit
+    signals: Any = None  # [n, A] what the nuisance shows, over the limit, if that is known
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from jax import Array
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import Policy, blank
 from jaxdeconf.learn.fit import Training
-from jaxdeconf.systems.rollout import Trajectories, frames, rollout, sample_action
+from jaxdeconf.systems.rollout import Trajectories, frames, redrawn, rollout
 from jaxdeconf.systems.system import System
 from jaxdeconf.traced import traceable
 
@@ -64,8 +64,8 @@ def drive(system: System, policy: Policy, initial_states: Array, key: Array) -> 
 
 @partial(jax.jit, static_argnames="system")
 def _drive(system: System, policy: Policy, initial_states: Array, key: Array) -> Trajectories:
-    def act(memory: list[Array], state: Array, previous_action: Array, _: Array):
-        seen = [*memory, policy.see(system.frame(state, previous_action)[None])]
+    def act(memory: list[Array], state: Array, signal: Array, _: Array):
+        seen = [*memory, policy.see(system.frame(state, signal)[None])]
         return seen[1:], policy.act(seen)[0] * system.limits
 
     def one(state: Array, key: Array) -> Trajectories:
@@ -116,18 +116,15 @@ def copycat(system: System, policy: Policy, trajectories: Trajectories, key: Arr
 
 @partial(jax.jit, static_argnames="system")
 def _copycat(system: System, policy: Policy, trajectories: Trajectories, key: Array) -> Array:
-    redrawn_actions = jax.vmap(jax.vmap(partial(sample_action, system)))(
-        jax.random.split(key, trajectories.valid.shape)
-    )
-    redrawn = trajectories._replace(previous_actions=redrawn_actions)
     last = policy.frames - 1
 
     def actions(one: Trajectories) -> Array:
         seen = policy.see(frames(system, one))
         return policy.act([seen[i : len(seen) - last + i] for i in range(policy.frames)])
 
+    other = redrawn(system, trajectories, key)
     # All in one loop, so that the network is compiled once.
-    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), trajectories, redrawn)
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), trajectories, other)
     before, after = jnp.split(jax.lax.map(actions, both), 2)
     changes = jax.lax.map(lambda pair: jnp.abs(pair[0] - pair[1]).mean(), (before, after))
     return changes.mean()

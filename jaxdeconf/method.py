@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple, get_args
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -17,7 +18,7 @@ from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations, View
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import FitState, Objective, Training, Variables, Watch, finish
-from jaxdeconf.views import shown
+from jaxdeconf.views import identity, reconstructed, shown
 
 
 class Evidence(NamedTuple):
@@ -47,9 +48,34 @@ class Ask(NamedTuple):
     watch: Watch = finish  # what trainings pass through that come before the policy's own
 
 
+class Price(NamedTuple):
+    """What a method asks for beside the demonstrations."""
+
+    labels: int = 0  # of the expert: its action in a state
+    episodes: int = 0  # that somebody drives
+
+
 def given(demos: Demos, _: Evidence, __: Ask) -> Demos:
     """The demonstrations as they are."""
     return demos
+
+
+def as_they_are(_: Evidence) -> tuple[View, Any]:
+    """The view of all frames as they are."""
+    return identity, {}
+
+
+def kept(encoder: Encoder | None, keep: Array) -> tuple[View, Any]:
+    """The view of what an encoder's decoder makes of the latents [O] that are kept."""
+    assert encoder is not None
+    parameters = {"variables": encoder.variables, "keep": keep}
+    return reconstructed(encoder.network), parameters
+
+
+def masked(evidence: Evidence) -> tuple[View, Any]:
+    """The view of what is active and not masked."""
+    assert evidence.encoder is not None
+    return kept(evidence.encoder, evidence.encoder.active & ~jnp.asarray(evidence.mask))
 
 
 def _same(config: CloneConfig) -> CloneConfig:
@@ -81,6 +107,13 @@ class Method(NamedTuple):
     # Adds to a policy's first variables: networks that train along, as more of "params"; and what
     # the loss only reads, as "frozen".
     begin: Callable[[Variables, Evidence, Array], Variables] = _as_drawn
+    # (N demonstrations, of T steps) -> what it asks for beside those; None: for nothing.
+    price: Callable[[int, int], Price] | None = None
+
+    @property
+    def kind_of_data(self) -> tuple[Any, ...]:
+        """Equal for methods whose data, and variables, have the same fields."""
+        return self.data, self.extra, self.begin
 
 
 def available(demos: Demos, evidence: Evidence) -> set[str]:

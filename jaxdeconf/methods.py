@@ -9,13 +9,12 @@ from collections.abc import Collection
 from typing import Any
 
 import jax.numpy as jnp
-from jax import Array
 
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import View
-from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.method import Evidence, Method
-from jaxdeconf.views import covered, identity, inpainted, reconstructed
+from jaxdeconf.method import Evidence, Method, as_they_are, kept, masked
+from jaxdeconf.rivals import oracles
+from jaxdeconf.views import covered, inpainted
 
 
 def usual() -> tuple[str, ...]:
@@ -46,40 +45,25 @@ def masking() -> tuple[str, ...]:
     return tuple(name for name, method in METHODS.items() if "mask" in method.needs)
 
 
-def _as_they_are(_: Evidence) -> tuple[View, Any]:
-    return identity, {}
-
-
 def _by_hand(evidence: Evidence) -> tuple[View, Any]:
     assert evidence.cover is not None
     return covered(evidence.cover), {}
 
 
-def _kept(encoder: Encoder | None, keep: Array) -> tuple[View, Any]:
-    assert encoder is not None
-    parameters = {"variables": encoder.variables, "keep": keep}
-    return reconstructed(encoder.network), parameters
-
-
-def _masked(evidence: Evidence) -> tuple[View, Any]:
-    assert evidence.encoder is not None
-    return _kept(evidence.encoder, evidence.encoder.active & ~jnp.asarray(evidence.mask))
-
-
 def _inpainted(evidence: Evidence) -> tuple[View, Any]:
     assert evidence.encoder is not None
-    _, parameters = _masked(evidence)
+    _, parameters = masked(evidence)
     parameters["region"] = jnp.asarray(evidence.region)
     return inpainted(evidence.encoder.network), parameters
 
 
 def _unmasked(evidence: Evidence) -> tuple[View, Any]:
     assert evidence.encoder is not None
-    return _kept(evidence.encoder, evidence.encoder.active)
+    return kept(evidence.encoder, evidence.encoder.active)
 
 
 METHODS: dict[str, Method] = {
-    "BcVanilla": Method(_as_they_are, "The frames as they are."),
+    "BcVanilla": Method(as_they_are, "The frames as they are."),
     "BcManual": Method(
         _by_hand,
         "The nuisance covered by a human who knows where it is.",
@@ -87,7 +71,7 @@ METHODS: dict[str, Method] = {
         kind="oracle",
     ),
     "Masked": Method(
-        _masked,
+        masked,
         "Reconstructed by the β-VAE without the latents that Algorithm 1 masked.",
         needs=("encoder", "mask"),
     ),
@@ -103,3 +87,4 @@ METHODS: dict[str, Method] = {
         kind="control",
     ),
 }
+METHODS |= oracles.ROWS

@@ -49,7 +49,11 @@ IMAGES = np.zeros((6, 64, 64, 3), np.uint8)
 SAMPLES = np.arange(8.0)
 OBSERVATIONS, ACTIONS = np.ones((6, 2)), np.ones((6, 3, 1))
 TRAJECTORIES = Trajectories(
-    np.zeros((6, 2, 4)), np.zeros((6, 2, 1)), np.zeros((6, 2, 1)), np.ones((6, 2), bool)
+    np.zeros((6, 2, 4)),
+    np.zeros((6, 2, 1)),
+    np.zeros((6, 2, 1)),
+    np.ones((6, 2), bool),
+    np.zeros((6, 2, 1)),
 )
 VAE, RESNET = VAEConfig(channels=(4, 4)), ResNetConfig(width=4)
 POLICY = Policy(identity, RESNET, 2, {}, {})

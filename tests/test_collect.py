@@ -11,8 +11,11 @@ from jaxdeconf import collect, systems
 from jaxdeconf.collect import CollectConfig
 from jaxdeconf.expert import ExpertConfig
 from jaxdeconf.systems import Trajectories, random_trajectories
+from jaxdeconf.systems.signal import SIGNALS
 
-SYSTEM = replace(systems.get("cartpole"), steps=5, size=(12, 16))
+CARTPOLE = replace(systems.get("cartpole"), steps=5, size=(12, 16))
+# What its nuisance shows is not the previous action, so that the two are told apart.
+SYSTEM = replace(CARTPOLE, signal=SIGNALS["two_steps_ago"])
 EXPERT = ExpertConfig(horizon=7)
 CONFIG = CollectConfig(
     random_trajectories=3, expert_trajectories=6, held_out_trajectories=2, random_steps=4
@@ -29,7 +32,7 @@ def trajectories():
 
 def frame(trajectories, n, t):
     """Of one state."""
-    return SYSTEM.frame(trajectories.states[n, t], trajectories.previous_actions[n, t])
+    return SYSTEM.frame(trajectories.states[n, t], trajectories.signals[n, t])
 
 
 def test_exploration_is_the_frames_of_the_valid_steps(trajectories):
@@ -41,6 +44,8 @@ def test_exploration_is_the_frames_of_the_valid_steps(trajectories):
     np.testing.assert_allclose(np.asarray(found.images, int), images, atol=1)
     previous = [trajectories.previous_actions[place] / 25.0 for place in places]
     np.testing.assert_allclose(found.previous_actions, previous, rtol=1e-6)
+    shown = [trajectories.signals[place] / 25.0 for place in places]
+    np.testing.assert_allclose(found.signals, shown, rtol=1e-6)
 
 
 @pytest.mark.parametrize("steps", [None, 2])
@@ -71,7 +76,7 @@ def idle(system, states, key, config):
     still = jnp.zeros((len(states), system.steps, 1))
     where = jnp.repeat(states[:, None], system.steps, axis=1)
     seen = jax.random.uniform(key, still.shape)
-    return Trajectories(where, still, seen, still[..., 0] == 0), jnp.arange(len(states))
+    return Trajectories(where, still, seen, still[..., 0] == 0, seen), jnp.arange(len(states))
 
 
 def test_collecting_keeps_its_sets_apart_and_follows_from_the_key(monkeypatch):

@@ -12,11 +12,13 @@ from jaxdeconf.evaluate import EvaluateConfig
 from jaxdeconf.learn.clone import Policy
 from jaxdeconf.nets import resnet
 from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.systems.signal import SIGNALS
 from jaxdeconf.views import covered, identity
 
 SIZE = (16, 16)
 SYSTEM = replace(systems.get("cartpole"), size=SIZE)
-SHORT = replace(SYSTEM, steps=6)
+# With a nuisance that does not show the previous action.
+SHORT = replace(SYSTEM, steps=6, signal=SIGNALS["two_steps_ago"])
 NETWORK = ResNetConfig(width=4, stem="imagenet", stages=1, norm="none")
 # Not a network: the tests that put a function of their own in its place name it, so that nothing
 # compiled before is taken for it.
@@ -42,7 +44,7 @@ def driven(policy, initial_states):
 def test_a_policy_drives_as_a_plain_loop_does(policy, initial_states, driven):
     apply = jax.jit(lambda images: resnet.apply(NETWORK, policy.variables, images, train=False)[0])
     state = initial_states[0]
-    previous_action = driven.previous_actions[0, 0]
+    previous_action = driven.signals[0, 0]
     previous = jnp.zeros((1, *SIZE, 3), jnp.uint8)
     for t in range(6):
         current = SYSTEM.frame(state, previous_action)[None]
@@ -73,7 +75,7 @@ def test_a_policy_sees_the_last_frames_in_order_and_blank_ones_before(
     for r in range(3):
         reds = [0.0] * (frames - 1)  # blank, and not what the view would make of it
         for t in range(SHORT.steps):
-            image = SHORT.frame(found.states[r, t], found.previous_actions[r, t])
+            image = SHORT.frame(found.states[r, t], found.signals[r, t])
             reds.append((255 - int(image[1, 1, 0])) / 255)
             action = 25.0 * np.tanh(np.dot(reds[-frames:], weights))
             np.testing.assert_allclose(found.actions[r, t, 0], action, atol=1e-3)
@@ -86,7 +88,7 @@ def test_the_initial_states_and_the_nuisance_there_are_shared(initial_states, dr
     second = evaluate.drive(SYSTEM, other, initial_states, jax.random.key(2))
     np.testing.assert_array_equal(driven.states[:, 0], initial_states)
     np.testing.assert_array_equal(driven.states[:, 0], second.states[:, 0])
-    np.testing.assert_array_equal(driven.previous_actions[:, 0], second.previous_actions[:, 0])
+    np.testing.assert_array_equal(driven.signals[:, 0], second.signals[:, 0])
 
 
 def test_rollout_loss_charges_the_cost_of_the_exit_for_the_rest(driven):
@@ -134,7 +136,7 @@ def test_copycat_compares_all_successive_frames_with_the_same_under_another_nuis
         for begin in range(5 - frames + 1):
             for i in range(frames):
                 t, channels = begin + i, slice(3 * i, 3 * i + 3)
-                image = SYSTEM.frame(trajectories.states[r, t], trajectories.previous_actions[r, t])
+                image = SYSTEM.frame(trajectories.states[r, t], trajectories.signals[r, t])
                 np.testing.assert_allclose(shown[begin, ..., channels], image / 255, atol=1e-6)
                 different = shown[begin, ..., channels] != redrawn[begin, ..., channels]
                 assert different[:4, :4].any()
@@ -154,7 +156,7 @@ def test_copycat_is_zero_for_a_covered_nuisance_and_that_of_chance_for_a_pure_co
     assert evaluate.copycat(SYSTEM, blind, driven, jax.random.key(3)) == 0.0
     copy = Policy(identity, FUNCTION, 2, {}, {})
     score = evaluate.copycat(SYSTEM, copy, driven, jax.random.key(3))
-    shown = np.asarray(driven.previous_actions[:, 1:]) / 25.0
+    shown = np.asarray(driven.signals[:, 1:]) / 25.0
     # E|a - u| for u uniform on [-1, 1] is (1 + a²) / 2.
     assert score == pytest.approx(np.mean((1 + shown**2) / 2), rel=0.15)
 

@@ -4,7 +4,7 @@ Shapes: N trajectories, T time, K plan, S state, A action. The paper's t=1 is in
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -34,6 +34,9 @@ class ExpertConfig:
     # A cost below this counts as this: what is left at rest on the goal is rounding. Ours, of a
     # mean stage cost of 1e-4 over 30 steps.
     least_cost: float = 3e-3
+    # Whether every step also solves from the system's own first plans, and takes the better: for
+    # states that another than the expert led to, where its last plan may be far from the best.
+    restart: bool = False
 
     def __post_init__(self) -> None:
         for name in ("horizon", "initial_iterations", "step_iterations"):
@@ -99,8 +102,11 @@ def receding_horizon(
         solution = _solve_cold(system, state, config)
         return Memory(solution.actions, jnp.zeros((), jnp.int32))
 
-    def policy(memory: Memory, state: Array, previous_action: Array, key: Array):
+    def policy(memory: Memory, state: Array, signal: Array, key: Array):
         solution = ilqr.solve(system, state, memory.plan, config.step_iterations)
+        if config.restart:
+            again = replace(config, initial_iterations=config.step_iterations)
+            solution = _better(solution, _solve_cold(system, state, again))
         actions = solution.actions
         rest = jnp.concatenate([actions[1:], actions[-1:]])
         unconverged = memory.unconverged + ~_converged(solution, config)
@@ -117,7 +123,7 @@ def expert_trajectories(
     Args:
       system: what moves.
       initial_states: [N, S] finite, in the system's units.
-      key: draws the random previous action of each trajectory's first step.
+      key: draws the random actions before each trajectory's first step.
       config: the default is `ExpertConfig()`.
     Returns:
       Trajectories [N, T, ...], and unconverged [N] int: in how many of the T steps the plan had
@@ -188,6 +194,12 @@ def _solve_cold(system: System, state: Array, config: ExpertConfig) -> ilqr.Solu
     solutions = jax.lax.map(lambda start: ilqr.solve(system, state, start, iterations), starts)
     best = jnp.nanargmin(solutions.cost)
     return jax.tree.map(lambda leaf: leaf[best], solutions)
+
+
+def _better(one: ilqr.Solution, other: ilqr.Solution) -> ilqr.Solution:
+    """The cheaper of two; a cost that is not finite is none."""
+    take = (other.cost < one.cost) | ~jnp.isfinite(one.cost)
+    return jax.tree.map(lambda a, b: jnp.where(take, b, a), one, other)
 
 
 def _converged(solution: ilqr.Solution, config: ExpertConfig) -> Array:

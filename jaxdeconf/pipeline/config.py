@@ -18,6 +18,7 @@ from jaxdeconf.mask import MaskConfig
 from jaxdeconf.method import Need, configured, imitated
 from jaxdeconf.methods import METHODS, require, usual
 from jaxdeconf.systems import System
+from jaxdeconf.systems.signal import PREVIOUS_ACTION, SIGNALS
 from jaxdeconf.traced import traceable
 
 
@@ -54,6 +55,8 @@ def fitting(config: Config, system: System) -> System:
     checks.instance("system", system, System)
     if config.collect.size is not None:
         system = replace(system, size=config.collect.size)
+    if config.collect.nuisance != PREVIOUS_ACTION.name:  # else a system of one's own may differ
+        system = replace(system, signal=SIGNALS[config.collect.nuisance])
     drawn, wanted = _drawn(system), system.frame_shape
     if drawn != wanted:
         raise ValueError(f"draw: expected images of shape {list(wanted)}, got {list(drawn)}")

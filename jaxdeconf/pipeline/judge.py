@@ -60,13 +60,13 @@ class JudgedLatents(NamedTuple):
 
 def judge_latents(trial: Trial, encoder: Encoder) -> JudgedLatents:
     """The β-VAE on held-out random-policy frames."""
-    images, actions = trial.held_out
+    images, _, signals = trial.held_out
     mean, _ = disentangle.encode(encoder.network, encoder.variables, images)
     some = slice(0, 2 * _JUDGE_FRAMES)
     key = named(trial.key, "nuisance share")
     return JudgedLatents(
-        jnp.abs(leakage.spearman(mean, actions)).max(axis=1),
-        leakage.explained(actions[some], mean[some], key),
+        jnp.abs(leakage.spearman(mean, signals)).max(axis=1),
+        leakage.explained(signals[some], mean[some], key),
         _reconstruction(trial, encoder, images[:_JUDGE_FRAMES]),
     )
 
@@ -175,11 +175,11 @@ def _unpredicted(trial: Trial, driven: Trajectories) -> float:
 
 
 def leaked(trial: Trial, view: View, parameters: Any) -> Array:
-    """[] R² of the previous action regressed from what a view shows of held-out frames.
+    """[] R² of what the nuisance shows, regressed from what a view shows of held-out frames.
 
-    There the action is independent of everything in the frame but the nuisance: 0 is no leak.
+    There the signal is independent of everything in the frame but the nuisance: 0 is no leak.
     """
-    images, signal = trial.held_out
+    images, _, signal = trial.held_out
     seen = see(view, parameters, images[: 2 * _JUDGE_FRAMES])
     half = len(seen) // 2
     return leakage.r_squared(

@@ -32,7 +32,7 @@ class Judged(NamedTuple):
     rollout_loss: Losses
     outcome: float  # mean over rollouts, in the system's own terms
     copycat: float  # mean change of the action over its limit when only the nuisance is redrawn
-    leakage: float  # R² of the previous action, regressed from what the policy sees
+    leakage: float  # R² of what the nuisance shows, regressed from what the policy sees
     train_loss: float  # mean since the evaluation before the last
     # Error of telling an action from the one before, on its rollouts over that on the expert's:
     # below 1 is a copycat (Wen et al. 2020).
@@ -90,8 +90,8 @@ class Results(NamedTuple):
     p_values: PValues
     active: np.ndarray  # [O] bool
     kl: np.ndarray  # [O] nats
-    nuisance_correlation: np.ndarray  # [O] |Spearman| with the previous action
-    nuisance_share: np.ndarray  # [O] R²: what the previous action explains of each latent
+    nuisance_correlation: np.ndarray  # [O] |Spearman| with what the nuisance shows
+    nuisance_share: np.ndarray  # [O] R²: what that explains of each latent
     reconstruction: Reconstruction
     expert: JudgedExpert
     policies: dict[str, Judged]  # by method, in the table's order

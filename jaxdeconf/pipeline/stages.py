@@ -97,12 +97,15 @@ class Run:
         config, total = training.config, training.config.total_steps(training.samples)
         per_epoch = config.steps_per_epoch(training.samples)
         made_from = {"collect": fingerprint(data), "view": fingerprint(training.made_from)}
-        saved = self.store.load(name, lambda: training.start(training.data()), made_from)
+        # What a method trains before its policy is not gone through again for shapes.
+        like = training.like or training.data
+        saved = self.store.load(name, lambda: training.start(like()), made_from)
         state, notes = saved or (None, {"seconds": 0.0, "history": [], "losses": []})
         done = int(state.step) if state else 0
         if done < total:
+            begin, made = time.perf_counter() - notes["seconds"], training.data()
+            training = training._replace(data=lambda: made)  # a bar of its own is over by now
             with self.reporter.bar(name, total, done) as bar:
-                begin = time.perf_counter() - notes["seconds"]
                 chunks = bar.track(training.chunks(name, state, visits), config)
                 for state, metrics in chunks:
                     notes["losses"] = [*notes["losses"], metrics["loss"]]

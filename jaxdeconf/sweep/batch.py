@@ -27,12 +27,13 @@ class Job(NamedTuple):
 
     training: Training
     data_name: Hashable  # equal for equal data
+    kind: Hashable = None  # equal for data and variables of the same fields
 
     @property
     def shape(self) -> Hashable:
         """Equal for models that one program trains."""
         training = self.training
-        return training.objective, training.samples, jax.tree.structure(training.config)
+        return training.objective, training.samples, jax.tree.structure(training.config), self.kind
 
 
 class Room(NamedTuple):

@@ -52,9 +52,9 @@ def describe(sweep: Sweep, system: System, shard: tuple[int, int], budget: float
         each = shared.distinct(configs, lambda config: repr((config.clone, config.methods)))
         policies = [_cloning(one, fitting(one, system)) for one in each]
         programs = {
-            (METHODS[name].objective, jax.tree.structure(configured(METHODS[name], one.clone)))
+            (row.objective, row.kind_of_data, jax.tree.structure(configured(row, one.clone)))
             for one in each
-            for name in one.methods
+            for row in [METHODS[name] for name in one.methods]
         }
         lines.append(_stage("policies  ", policies, _most_policies(points), budget, len(programs)))
     return "\n".join(lines)

@@ -19,6 +19,7 @@ import numpy as np
 from jax.experimental import multihost_utils
 
 from jaxdeconf import systems
+from jaxdeconf.learn.fit import FitState, Training
 from jaxdeconf.method import Ask, Method, cloning, imitated
 from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline import judge
@@ -152,18 +153,30 @@ def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, 
     config, method = point.config, METHODS[name]
     run, trial = data_of(work, config)
     lengths = np.asarray(trial.collected.expert.valid).sum(axis=1)
+
+    def watch(name: str, inner: Training) -> FitState:
+        """What points train before their policies is kept by all that it follows from."""
+        own = digest(inner.config, fingerprint(inner.made_from))
+        return run.watch(f"{name} {own}", inner, trial.collected)
+
     training = cloning(
         method,
         lambda: demonstrations_for(config, trial.system, trial.collected),
         imitated(lengths, config.clone),
         evidence_of(work, config, name, found),
-        Ask(config.clone, run.key, lambda name, inner: run.watch(name, inner, trial.collected)),
+        Ask(config.clone, run.key, watch),
     )
     data, sees = data_name(config), fingerprint(training.made_from)
     # Without what only the training depends on: the same frames are held once.
     frames = method.view, method.data, method.extra, data, sees, config.clone.trajectory_steps
-    recipe = method._replace(note="", needs=(), kind="fair", select=None, strength=None)
-    return Name(recipe, data, sees, digest(training.config)), Job(training, frames)
+    if training.like is not None:  # then the data may follow from how they are learnt
+        frames = *frames, digest(training.config)
+    recipe = method._replace(
+        note="", needs=(), kind="fair", rival=False, select=None, strength=None, price=None
+    )
+    return Name(recipe, data, sees, digest(training.config)), Job(
+        training, frames, method.kind_of_data
+    )
 
 
 def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[Judged]:

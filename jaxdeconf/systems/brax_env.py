@@ -19,7 +19,7 @@ from flax import struct
 from jax import Array
 
 from jaxdeconf import checks, systems
-from jaxdeconf.systems.rollout import sample_action
+from jaxdeconf.systems.rollout import first_memory
 from jaxdeconf.systems.system import System
 from jaxdeconf.vision import raster
 
@@ -31,7 +31,8 @@ class Moment(struct.PyTreeNode):
     """A Brax `pipeline_state`: all that the next step and the next frame depend on."""
 
     state: Array  # [S], the System's units
-    previous_action: Array  # [A], the System's units; what the nuisance shows
+    previous_action: Array  # [A], the System's units
+    past: Array  # [M, A], what the nuisance's signal remembers; it shows the first
 
 
 def _state_of(system: System, moment: Moment) -> Array:
@@ -40,7 +41,7 @@ def _state_of(system: System, moment: Moment) -> Array:
 
 def _pixels_of(system: System, moment: Moment) -> dict[str, Array]:
     # Through uint8, so that a policy sees here what one cloned from stored frames saw there.
-    return {PIXELS: raster.dequantize(system.frame(moment.state, moment.previous_action))}
+    return {PIXELS: raster.dequantize(system.frame(moment.state, moment.past[0]))}
 
 
 def _both_of(system: System, moment: Moment) -> dict[str, Array]:
@@ -95,7 +96,8 @@ class SystemEnv(envs.Env):
         """
         state_key, action_key = jax.random.split(rng)
         start = self.system.sample_initial(state_key)
-        moment = Moment(start, sample_action(self.system, action_key))
+        past = first_memory(self.system, action_key)
+        moment = Moment(start, past[-1], past)
         zero = jnp.zeros((), moment.state.dtype)
         metrics = {"in_bounds": zero, "stage_cost_per_step": zero}
         return envs.State(cast(Any, moment), self._observe(moment), zero, zero, metrics)
@@ -118,7 +120,8 @@ class SystemEnv(envs.Env):
         scaled = jnp.clip(action, -1.0, 1.0) * system.limits
         taken = jnp.where(inside, scaled, moment.previous_action)
         following = jnp.where(inside, system.step(moment.state, taken), moment.state)
-        after = Moment(following, taken)
+        past = jnp.where(inside, system.signal.follow(moment.past, taken), moment.past)
+        after = Moment(following, taken, past)
         cost = system.stage_cost(moment.state, taken)
         fallen = jnp.logical_not(system.in_bounds(following)) & self._terminate
         metrics = {"in_bounds": inside.astype(cost.dtype), "stage_cost_per_step": cost}
@@ -176,7 +179,7 @@ class SystemEnv(envs.Env):
         """
         own = self.system.size
         frame = jax.jit(replace(self.system, size=(height or own[0], width or own[1])).frame)
-        return [np.asarray(frame(moment.state, moment.previous_action)) for moment in trajectory]
+        return [np.asarray(frame(moment.state, moment.past[0])) for moment in trajectory]
 
 
 for _name in systems.names():

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxdeconf import checks
+from jaxdeconf.systems.signal import PREVIOUS_ACTION, Signal
 from jaxdeconf.vision import raster
 
 
 class Nuisance(Protocol):
-    """A mark in the frame that shows the previous action; see `vision.nuisance`."""
+    """A mark in the frame that shows a signal of past actions; see `vision.nuisance`."""
 
     def draw(self, image: Array, signal: Array) -> Array:
         """Image [H, W, 3] with the mark for signal [A] in [-1, 1]."""
@@ -72,6 +73,7 @@ class System:
     # (state [S], (H, W)) -> image [H, W, 3] in [0, 1], no nuisance
     draw: Callable[[Array, tuple[int, int]], Array]
     nuisance: Nuisance
+    signal: Signal = PREVIOUS_ACTION  # what the nuisance shows; the paper's
     outcome: Outcome = SURVIVAL
     size: tuple[int, int] = (64, 64)  # H, W of its frames; the paper's
 
@@ -88,10 +90,10 @@ class System:
         """(H, W, 3)."""
         return (*self.size, 3)
 
-    def render(self, state: Array, previous_action: Array) -> Array:
-        """The frame [H, W, 3] in [0, 1] of state [S] with the nuisance for an action [A]."""
-        return self.nuisance.draw(self.draw(state, self.size), previous_action / self.limits)
+    def render(self, state: Array, signal: Array) -> Array:
+        """The frame [H, W, 3] in [0, 1] of state [S] with a nuisance that shows an action [A]."""
+        return self.nuisance.draw(self.draw(state, self.size), signal / self.limits)
 
-    def frame(self, state: Array, previous_action: Array) -> Array:
+    def frame(self, state: Array, signal: Array) -> Array:
         """The frame as a camera hands it over: uint8 [H, W, 3]."""
-        return raster.quantize(self.render(state, previous_action))
+        return raster.quantize(self.render(state, signal))

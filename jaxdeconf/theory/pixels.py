@@ -118,7 +118,7 @@ def prepare(
     held_out = collect.exploration(system, collected.held_out)
     encoder = learn_latents(images, held_out.images, key, config.disentangle, watch)
     mean, _ = vae.encode(encoder.network, encoder.variables, held_out.images)
-    share = explained(held_out.previous_actions, mean, named(key, "square"))
+    share = explained(held_out.signals, mean, named(key, "square"))
     share = np.where(np.asarray(encoder.active), np.maximum(share, 0.0), 0.0)
     return Scene(system, collected, encoder, held_out.images, share)
 
@@ -141,8 +141,8 @@ def coupled(
     seed = jnp.where(jax.random.uniform(of_choice, (n,)) < coupling, place, anew)
     hand = jax.random.uniform(of_hand, (n,), minval=-1.0, maxval=1.0)
     pressed = ((1 - _HAND) * hand - _HAND * seed)[:, None] * system.limits
-    shown = jnp.asarray(trajectories.previous_actions).at[:, 0].set(pressed)
-    return trajectories._replace(previous_actions=shown)
+    shown = jnp.asarray(trajectories.signals).at[:, 0].set(pressed)
+    return trajectories._replace(signals=shown)
 
 
 def mask_rates(

@@ -1,9 +1,9 @@
 """The nuisance: a mark in the frame that shows the previous action (paper, Section V-A).
 
-It says nothing about the state that the frame does not, yet predicts the expert's next action well:
-what a cloned policy learns to copy. A nuisance has two methods, `draw` and `cover`; the second is
-the human's remedy that BcManual stands for. Lengths are in the units of `raster`, pixels of the
-paper's frames; images may have any size.
+Or another signal of past actions: see `systems.signal`. It says nothing about the state that the
+frame does not, yet predicts the expert's next action well: what a cloned policy learns to copy. A
+nuisance has two methods, `draw` and `cover`; the second is the human's remedy that BcManual stands
+for. Lengths are in the units of `raster`, pixels of the paper's frames; images may have any size.
 """
 
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class ColorSquare(Corner):
 
         Args:
           image: [H, W, 3] in [0, 1].
-          signal: [A] previous action over its limit, in [-1, 1].
+          signal: [A] what it shows, the previous action say, over its limit, in [-1, 1].
         Returns:
           [H, W, 3] in [0, 1].
         """
@@ -86,7 +86,7 @@ class JoystickDot(Corner):
 
         Args:
           image: [H, W, 3] in [0, 1].
-          signal: [A >= 2] previous action over its limit, in [-1, 1].
+          signal: [A >= 2] what it shows, over its limit, in [-1, 1].
         Returns:
           [H, W, 3] in [0, 1].
         """

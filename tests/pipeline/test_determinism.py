@@ -44,6 +44,9 @@ ALONE = {
     "region",
     # Of a dataset of one's own.
     *("linear start", "check", "told", "stability", "retention", "written"),
+    # Of rivals.
+    *("shaken", "clone drives", "nuisance redrawn", "probe"),
+    *("CCIL initial weights", "CCIL training", "CCIL queries", "CCIL returns"),
     # Of the theory's experiments.
     *("structures", "structural data", "normal columns", "pairs"),
     *("square", "first squares", "coupled", "driven", "redrawn"),
@@ -154,7 +157,7 @@ def test_seeds_differ_in_data_initial_weights_and_rollouts():
         one, other = cloning(key), disentangling(key)
         weights = one.start(one.data()).variables["params"]["stem"]["kernel"]
         first = other.start(other.data()).variables["params"]["encoder"]["conv_1"]["kernel"]
-        nuisance = driven(named(key, "evaluation")).previous_actions[:, 0]
+        nuisance = driven(named(key, "evaluation")).signals[:, 0]
         return data.states, data.actions, weights, first, nuisance
 
     for one, same, other in zip(made(0), made(0), made(1), strict=True):
@@ -190,7 +193,7 @@ def copied(key):
 def one_random_trajectory(key):
     """One of `random_trajectories`: the checker takes any scan over keys under vmap for reuse."""
 
-    def policy(memory, state, previous_action, key):
+    def policy(memory, state, signal, key):
         return memory, sample_action(FEW, key)
 
     state_key, rollout_key = jax.random.split(key)

@@ -23,9 +23,8 @@ def test_the_experts_faults_are_counted():
     states[0, 2] = [5.1, 0, 0, 0]
     states[1, 3] = [0, -10.1, 0, 0]
     states[1, 4] = [0, 9.9, 0, 2.0]
-    expert = Trajectories(
-        jnp.asarray(states), jnp.zeros((2, 5, 1)), jnp.zeros((2, 5, 1)), jnp.ones((2, 5), bool)
-    )
+    still = jnp.zeros((2, 5, 1))
+    expert = Trajectories(jnp.asarray(states), still, still, jnp.ones((2, 5), bool), still)
     collected = Collected(expert, expert, expert, expert, jnp.array([1, 3]))
     judged = judge.judge_expert(systems.get("cartpole"), collected)
     assert judged.violation_rate == pytest.approx(3 / 8)

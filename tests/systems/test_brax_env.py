@@ -17,6 +17,7 @@ from jaxdeconf import systems
 from jaxdeconf.evaluate import rollout_loss
 from jaxdeconf.systems import brax_env
 from jaxdeconf.systems.rollout import rollout
+from jaxdeconf.systems.signal import SIGNALS
 
 ROOT = Path(__file__).parents[2]
 NAMES = systems.names()
@@ -74,7 +75,7 @@ def test_a_whole_episode_is_a_rollout():
     actions = jax.random.uniform(KEY, (env.episode_length, 1), minval=-1.0, maxval=1.0)
     got = unroll(env, start, actions)
 
-    def policy(count, state, previous_action, key):
+    def policy(count, state, signal, key):
         return count + 1, actions[count] * CARTPOLE.limits
 
     want = rollout(CARTPOLE, policy, jnp.array(0), start.pipeline_state.state, KEY)
@@ -114,21 +115,23 @@ def test_raw_and_typed_keys_give_the_same_start(observation):
 @pytest.mark.parametrize("name", NAMES)
 def test_pixels_are_the_systems_frames(name):
     """With the nuisance of the action just taken; `render` gives the same frames in uint8."""
-    system = dataclasses.replace(systems.get(name), size=(32, 48))
+    system = dataclasses.replace(systems.get(name), size=(32, 48), signal=SIGNALS["filtered"])
     env = brax_env.SystemEnv(system, observation="pixels_state")
     start = jax.jit(env.reset)(KEY)
     after = jax.jit(env.step)(start, 0.5 * jnp.ones(env.action_size))
     assert env.observation_size == {"state": len(system.state_names), brax_env.PIXELS: (32, 48, 3)}
     for state in (start, after):
         moment = state.pipeline_state
-        frame = np.asarray(system.frame(moment.state, moment.previous_action))
+        frame = np.asarray(system.frame(moment.state, moment.past[0]))
         pixels = state.obs[brax_env.PIXELS]
         assert pixels.dtype == jnp.float32
         np.testing.assert_allclose(pixels * 255, frame, atol=1e-4)
         np.testing.assert_array_equal(env.render([moment])[0], frame)
         np.testing.assert_array_equal(state.obs["state"], moment.state)
-    # Another previous action, another frame: the nuisance is in it.
+    # Another signal, another frame: the nuisance is in it.
     np.testing.assert_allclose(after.pipeline_state.previous_action, 0.5 * system.limits)
+    shown = 0.7 * start.pipeline_state.past[0] + 0.15 * system.limits
+    np.testing.assert_allclose(after.pipeline_state.past[0], shown, rtol=1e-5)
     bare = np.asarray(system.draw(after.pipeline_state.state, system.size))
     assert np.abs(bare - after.obs[brax_env.PIXELS]).max() > 0.2
 

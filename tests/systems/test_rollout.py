@@ -5,12 +5,14 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxdeconf import systems
 from jaxdeconf.systems.rollout import (
     Trajectories,
     frames,
     random_trajectories,
+    redrawn,
     rollout,
     rollout_with_memory,
     sample_action,
@@ -20,9 +22,9 @@ SYSTEM = systems.get("cartpole")
 KEY = jax.random.key(3)
 
 
-def noisy_policy(memory, state, previous_action, key):
+def noisy_policy(memory, state, signal, key):
     """Uses everything a policy is given; asks for more than the limits now and then."""
-    action = 20 * state[2:3] - 0.1 * previous_action + 10 * jax.random.normal(key, (1,)) + memory
+    action = 20 * state[2:3] - 0.1 * signal + 10 * jax.random.normal(key, (1,)) + memory
     return memory + 0.1, action
 
 
@@ -34,7 +36,7 @@ def by_hand(policy, memory, state, key):
         alive = alive and bool(SYSTEM.in_bounds(state))
         memory, action = policy(memory, state, previous, step_key)
         action = jnp.clip(action, -25, 25) if alive else previous
-        records.append((state, action, previous, alive))
+        records.append((state, action, previous, alive, previous))
         state = SYSTEM.step(state, action) if alive else state
         previous = action
     return Trajectories(*(np.array(field) for field in zip(*records, strict=True))), memory
@@ -55,7 +57,7 @@ def test_scan_matches_python_loop():
 def test_trajectory_stands_still_out_of_bounds():
     trajectories = random_trajectories(SYSTEM, KEY, 50)
     inside = np.asarray(jax.vmap(jax.vmap(SYSTEM.in_bounds))(trajectories.states))
-    states, actions, _, valid = map(np.asarray, trajectories)
+    states, actions, _, valid, _ = map(np.asarray, trajectories)
     assert not valid[:, -1].any()  # random forces hold no pole for five seconds
     np.testing.assert_array_equal(valid, inside)
     for n, length in enumerate(valid.sum(axis=1)):
@@ -65,7 +67,7 @@ def test_trajectory_stands_still_out_of_bounds():
 
 
 def test_states_and_actions_follow_the_system():
-    states, actions, previous, valid = random_trajectories(SYSTEM, KEY, 20)
+    states, actions, previous, valid, _ = random_trajectories(SYSTEM, KEY, 20)
     stepped = jax.vmap(jax.vmap(SYSTEM.step))(states, actions)[:, :-1]
     alive = np.asarray(valid[:, :-1])
     np.testing.assert_allclose(stepped[alive], states[:, 1:][alive], rtol=0, atol=1e-5)
@@ -73,7 +75,7 @@ def test_states_and_actions_follow_the_system():
 
 
 def test_random_actions_are_uniform_and_independent_of_the_start():
-    states, actions, previous, _ = random_trajectories(SYSTEM, KEY, 2000)
+    states, actions, previous, *_ = random_trajectories(SYSTEM, KEY, 2000)
     for sample in (actions[:, 0, 0], previous[:, 0, 0]):
         unit = np.sort(np.asarray(sample)) / 50 + 0.5
         assert unit[0] >= 0
@@ -124,5 +126,17 @@ def test_frames_are_the_renders():
     images = jax.jit(frames, static_argnums=0)(SYSTEM, some)
     assert images.shape == (2, 3, 64, 64, 3)
     assert images.dtype == jnp.uint8
-    image = jax.jit(SYSTEM.render)(some.states[1, 2], some.previous_actions[1, 2])
+    image = jax.jit(SYSTEM.render)(some.states[1, 2], some.signals[1, 2])
     assert np.abs(np.asarray(images[1, 2]) - 255 * np.asarray(image)).max() <= 0.51
+
+
+def test_copies_and_filters_of_past_actions_are_redrawn_alone():
+    before = random_trajectories(SYSTEM, KEY, 300)
+    after = redrawn(SYSTEM, before, jax.random.key(5))
+    for a, b in zip(before[:4], after[:4], strict=True):
+        np.testing.assert_array_equal(a, b)
+    shown = np.asarray(after.signals[..., 0]) / 25
+    assert np.abs(shown).max() <= 1
+    assert shown.std() == pytest.approx(1 / np.sqrt(3), rel=0.02)
+    assert abs(np.corrcoef(shown.ravel(), np.asarray(before.signals).ravel())[0, 1]) < 0.03
+    assert abs(np.corrcoef(shown[:, 1:].ravel(), shown[:, :-1].ravel())[0, 1]) < 0.03

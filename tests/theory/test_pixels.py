@@ -16,12 +16,12 @@ def trajectories():
     states = jax.vmap(CARTPOLE.sample_initial)(jax.random.split(jax.random.key(0), COUNT))
     states = jnp.stack([states, states + 1.0], axis=1)
     actions = jnp.ones((COUNT, 2, 1))
-    return Trajectories(states, actions, 7 * actions, jnp.ones((COUNT, 2), bool))
+    return Trajectories(states, actions, 5 * actions, jnp.ones((COUNT, 2), bool), 7 * actions)
 
 
 def squares(coupling, seed=1):
     found = coupled(CARTPOLE, trajectories(), coupling, jax.random.key(seed))
-    return np.asarray(found.states[:, 0, 0]), np.asarray(found.previous_actions[:, 0, 0])
+    return np.asarray(found.states[:, 0, 0]), np.asarray(found.signals[:, 0, 0])
 
 
 @pytest.mark.parametrize("coupling", [0.0, 0.5, 1.0])
@@ -43,7 +43,8 @@ def test_nothing_else_is_moved():
     found = coupled(CARTPOLE, before, 1.0, jax.random.key(1))
     np.testing.assert_array_equal(found.states, before.states)
     np.testing.assert_array_equal(found.actions, before.actions)
-    np.testing.assert_array_equal(found.previous_actions[:, 1:], before.previous_actions[:, 1:])
+    np.testing.assert_array_equal(found.previous_actions, before.previous_actions)
+    np.testing.assert_array_equal(found.signals[:, 1:], before.signals[:, 1:])
 
 
 @pytest.mark.parametrize(
