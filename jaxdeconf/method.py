@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple, get_args
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -17,7 +18,7 @@ from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations, View
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import FitState, Objective, Training, Variables, Watch, finish
-from jaxdeconf.views import shown
+from jaxdeconf.views import identity, reconstructed, shown
 
 
 class Evidence(NamedTuple):
@@ -45,6 +46,28 @@ class Ask(NamedTuple):
     config: CloneConfig
     key: Array  # every random choice follows from it, by name
     watch: Watch = finish  # what trainings pass through that come before the policy's own
+
+
+def as_they_are(_: Evidence) -> tuple[View, Any]:
+    """A view of the frames as they are."""
+    return identity, {}
+
+
+def masked(evidence: Evidence) -> tuple[View, Any]:
+    """A view by the β-VAE, of its active latents without the masked ones."""
+    assert evidence.encoder is not None
+    return _kept(evidence.encoder, evidence.encoder.active & ~jnp.asarray(evidence.mask))
+
+
+def unmasked(evidence: Evidence) -> tuple[View, Any]:
+    """A view by the β-VAE, of all its active latents."""
+    assert evidence.encoder is not None
+    return _kept(evidence.encoder, evidence.encoder.active)
+
+
+def _kept(encoder: Encoder, keep: Array) -> tuple[View, Any]:
+    parameters = {"variables": encoder.variables, "keep": keep}
+    return reconstructed(encoder.network), parameters
 
 
 def given(demos: Demos, _: Evidence, __: Ask) -> Demos:

@@ -9,13 +9,11 @@ from collections.abc import Collection
 from typing import Any
 
 import jax.numpy as jnp
-from jax import Array
 
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import View
-from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.method import Evidence, Method
-from jaxdeconf.views import covered, identity, inpainted, reconstructed
+from jaxdeconf.method import Evidence, Method, as_they_are, masked, unmasked
+from jaxdeconf.views import covered, inpainted
 
 
 def usual() -> tuple[str, ...]:
@@ -41,40 +39,20 @@ def masking() -> tuple[str, ...]:
     return tuple(name for name, method in METHODS.items() if "mask" in method.needs)
 
 
-def _as_they_are(_: Evidence) -> tuple[View, Any]:
-    return identity, {}
-
-
 def _by_hand(evidence: Evidence) -> tuple[View, Any]:
     assert evidence.cover is not None
     return covered(evidence.cover), {}
 
 
-def _kept(encoder: Encoder | None, keep: Array) -> tuple[View, Any]:
-    assert encoder is not None
-    parameters = {"variables": encoder.variables, "keep": keep}
-    return reconstructed(encoder.network), parameters
-
-
-def _masked(evidence: Evidence) -> tuple[View, Any]:
-    assert evidence.encoder is not None
-    return _kept(evidence.encoder, evidence.encoder.active & ~jnp.asarray(evidence.mask))
-
-
 def _inpainted(evidence: Evidence) -> tuple[View, Any]:
     assert evidence.encoder is not None
-    _, parameters = _masked(evidence)
+    _, parameters = masked(evidence)
     parameters["region"] = jnp.asarray(evidence.region)
     return inpainted(evidence.encoder.network), parameters
 
 
-def _unmasked(evidence: Evidence) -> tuple[View, Any]:
-    assert evidence.encoder is not None
-    return _kept(evidence.encoder, evidence.encoder.active)
-
-
 METHODS: dict[str, Method] = {
-    "BcVanilla": Method(_as_they_are, "The frames as they are."),
+    "BcVanilla": Method(as_they_are, "The frames as they are."),
     "BcManual": Method(
         _by_hand,
         "The nuisance covered by a human who knows where it is.",
@@ -82,7 +60,7 @@ METHODS: dict[str, Method] = {
         kind="oracle",
     ),
     "Masked": Method(
-        _masked,
+        masked,
         "Reconstructed by the β-VAE without the latents that Algorithm 1 masked.",
         needs=("encoder", "mask"),
     ),
@@ -92,7 +70,7 @@ METHODS: dict[str, Method] = {
         needs=("encoder", "mask", "region"),
     ),
     "Reconstructed": Method(
-        _unmasked,
+        unmasked,
         "Reconstructed by the same β-VAE with nothing masked: what the reconstruction does alone.",
         needs=("encoder",),
         kind="control",
