@@ -1,4 +1,4 @@
-"""The methods, a row each. To add one, add a row; nothing else names a method.
+"""The methods, a row each. To add one, add a row; nothing else names a method. Rivals' are theirs.
 
 They are one `clone` on different views of the same frames (Section V-B). Inpainted is ours, the
 others are the paper's. Everything that goes by method follows from this table: order and colours,
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import View
 from jaxdeconf.method import Evidence, Method, as_they_are, masked, unmasked
+from jaxdeconf.rivals import fair
 from jaxdeconf.views import covered, inpainted
 
 
@@ -76,3 +77,4 @@ METHODS: dict[str, Method] = {
         kind="control",
     ),
 }
+METHODS |= fair.ROWS

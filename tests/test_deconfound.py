@@ -19,7 +19,7 @@ from jaxdeconf.learn.clone import CloneConfig, Policy
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.mask import Mask, MaskConfig
 from jaxdeconf.method import Evidence, Method, imitated
-from jaxdeconf.methods import METHODS
+from jaxdeconf.methods import METHODS, usual
 from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.region import find_region
@@ -86,7 +86,7 @@ def exploration():
 
 @pytest.fixture(scope="module")
 def watched(demos, exploration):
-    """All methods of the table, and the steps of every training that passed the watch."""
+    """All methods but the rivals, and the steps of every training that passed the watch."""
     steps = {}
 
     def watch(name, training):
@@ -96,7 +96,7 @@ def watched(demos, exploration):
 
     known = Evidence(cover=covered)
     configs = LATENTS, HORIZON, CLONE
-    found = deconfound(demos, exploration[0], KEY, tuple(METHODS), known, *configs, watch)
+    found = deconfound(demos, exploration[0], KEY, usual(), known, *configs, watch)
     return found, steps
 
 
@@ -104,13 +104,13 @@ def test_it_gives_an_encoder_a_mask_and_the_policies(watched):
     found, _ = watched
     assert isinstance(found.encoder, Encoder)
     assert isinstance(found.mask, Mask)
-    assert tuple(found.policies) == tuple(METHODS)
+    assert tuple(found.policies) == usual()
     assert {(policy.network, policy.frames) for policy in found.policies.values()} == {(NETWORK, 2)}
     assert found.mask.state_action.shape == (2, 2, 1)
 
 
 def test_every_training_passes_the_watch(watched):
-    clones = {f"clone {name}": 20 for name in METHODS}
+    clones = {f"clone {name}": 20 for name in usual()}
     assert watched[1] == {"disentangle": 60, **clones}
 
 

@@ -194,7 +194,7 @@ def test_only_the_table_names_a_method():
     """Strings in the code; what a docstring or a comment says of one is no dependence on it."""
     named = []
     for name, tree in sources("jaxdeconf").items():
-        if name == "jaxdeconf.methods":
+        if name == "jaxdeconf.methods" or name.startswith("jaxdeconf.rivals."):  # the rows
             continue
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node.value in METHODS:

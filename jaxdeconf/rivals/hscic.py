@@ -1,7 +1,7 @@
 """HSCIC: how much two things depend on one another, given a third, by kernels in closed form.
 
-The Hilbert–Schmidt conditional independence criterion of Park & Muandet (2020, "A measure-theoretic
-approach to kernel conditional mean embeddings"), as Seo et al. (2023, PALR) estimate it: the squared
+The Hilbert–Schmidt conditional independence criterion (Park & Muandet 2020, "A measure-theoretic
+approach to kernel conditional mean embeddings"), as Seo et al. (2023) estimate it: the squared
 distance, at each z, of the joint conditional mean embedding from the product of the two marginal
 ones. 0 where x and y are independent given z; N samples tell little below 128 of them.
 Shapes: N samples, F features, A and C components.
