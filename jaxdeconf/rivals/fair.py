@@ -1,7 +1,7 @@
 """Rivals that are told no more than the demonstrations hold, and their controls: a row each."""
 
 from jaxdeconf.method import Method, as_they_are, unmasked
-from jaxdeconf.rivals import controls, fca, keyframes, latent_dropout, palr
+from jaxdeconf.rivals import codes, controls, fca, keyframes, latent_dropout, oreo, palr
 
 ROWS: dict[str, Method] = {
     "Palr": Method(
@@ -29,6 +29,22 @@ ROWS: dict[str, Method] = {
         rival=True,
         strength=5.0,  # the authors' weight
         data=keyframes.weighted,
+    ),
+    "Oreo": Method(
+        as_they_are,
+        "All places of a random half of a VQ-VAE's codes dropped from the last map in training.",
+        rival=True,
+        objective=oreo.objective,
+        strength=0.5,  # the authors' share
+        config=oreo.dropping_codes,
+        extra=codes.codes,
+    ),
+    "OreoPlain": Method(
+        as_they_are,
+        "The frames as they are, on Oreo's network.",
+        kind="control",
+        rival=True,
+        config=oreo.on_a_map,
     ),
     "LatentDropout": Method(
         unmasked,

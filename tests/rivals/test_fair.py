@@ -15,6 +15,9 @@ from jaxdeconf.deconfound import clone_policy
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.fit import FitState
 from jaxdeconf.methods import METHODS, usual
+from jaxdeconf.nets.vq import VQConfig
+from jaxdeconf.rivals import codes
+from jaxdeconf.rivals.codes import CodesConfig
 from jaxdeconf.rivals.fair import ROWS
 from tests.rivals import toy
 
@@ -57,6 +60,8 @@ def given():
 @pytest.fixture
 def cloned(given, monkeypatch):
     """(name, config) -> what the policy's training came to."""
+    network = VQConfig(codes=8, dimension=3, channels=(2, 2, 2))
+    monkeypatch.setattr(codes, "CONFIG", CodesConfig(steps=1, batch_size=16, network=network))
 
     def clone(name, config=toy.CLONE):
         found, traces = [], len(TRACES)
@@ -88,6 +93,7 @@ DIFFER = {
     "Palr": False,
     "Fca": False,
     "Keyframes": True,
+    "Oreo": True,
     "LatentDropout": True,
     "Cutout": True,
     "Dropout": True,
