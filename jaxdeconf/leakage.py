@@ -7,6 +7,7 @@ Closed form: the same frames give the same number.
 Shapes: n training frames, m test frames, P pixels, C components, O latents, A signals.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -50,12 +51,23 @@ def _kernel(a: Array, b: Array) -> Array:
     return inner / size + jnp.exp(-jnp.maximum(squared, 0.0) / (2.0 * size))
 
 
-def _predict(train: Array, signal: Array, test: Array, key: Array, components: int) -> Array:
-    """[m, A] predictions at test [m, P]; each ridge the best by leave-one-out on train [n, P]."""
+def regression(
+    train: Array, signal: Array, key: Array, components: int
+) -> Callable[[Array], Array]:
+    """Kernel ridge regression on principal components; each ridge the best by leave-one-out.
+
+    Args:
+      train: [n, P] what a signal is told from.
+      signal: [n, A].
+      key: starts the search for principal components.
+      components: C, at most n and P.
+    Returns:
+      [m, P] others -> [m, A] what the signal is predicted to be.
+    """
     mean = train.mean(axis=0)
     vectors, variances = principal_components(train - mean, components, key)
     scale = jnp.sqrt(jnp.maximum(variances, variances[0] * _FLOOR**2) + 1e-12)
-    features, test_features = (train - mean) @ vectors / scale, (test - mean) @ vectors / scale
+    features = (train - mean) @ vectors / scale
     offset = signal.mean(axis=0)
     values, basis = jnp.linalg.eigh(_kernel(features, features))
     rotated = basis.T @ (signal - offset)
@@ -70,7 +82,7 @@ def _predict(train: Array, signal: Array, test: Array, key: Array, components: i
     errors, weights = jax.lax.map(solve, jnp.asarray(_RIDGES))  # [ridges, A], [ridges, n, A]
     best = jnp.argmin(errors, axis=0)
     chosen = jnp.take_along_axis(weights, best[None, None], axis=0)[0]
-    return offset + _kernel(test_features, features) @ chosen
+    return lambda test: offset + _kernel((test - mean) @ vectors / scale, features) @ chosen
 
 
 def r_squared(
@@ -113,7 +125,7 @@ def _shares(
     train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array, components: int
 ) -> Array:
     """[A] R² of each signal on test frames [m, P]; 0 for one that is constant."""
-    predicted = _predict(train, train_signal, test, key, components)
+    predicted = regression(train, train_signal, key, components)(test)
     error, variance = ((predicted - test_signal) ** 2).mean(axis=0), test_signal.var(axis=0)
     varies = variance > 0.0
     return jnp.where(varies, 1.0 - error / jnp.where(varies, variance, 1.0), 0.0)

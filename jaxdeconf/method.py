@@ -55,27 +55,31 @@ class Price(NamedTuple):
     episodes: int = 0  # that somebody drives
 
 
-def given(demos: Demos, _: Evidence, __: Ask) -> Demos:
-    """The demonstrations as they are."""
-    return demos
-
-
 def as_they_are(_: Evidence) -> tuple[View, Any]:
-    """The view of all frames as they are."""
+    """A view of the frames as they are."""
     return identity, {}
 
 
-def kept(encoder: Encoder | None, keep: Array) -> tuple[View, Any]:
-    """The view of what an encoder's decoder makes of the latents [O] that are kept."""
-    assert encoder is not None
+def masked(evidence: Evidence) -> tuple[View, Any]:
+    """A view by the β-VAE, of its active latents without the masked ones."""
+    assert evidence.encoder is not None
+    return _kept(evidence.encoder, evidence.encoder.active & ~jnp.asarray(evidence.mask))
+
+
+def unmasked(evidence: Evidence) -> tuple[View, Any]:
+    """A view by the β-VAE, of all its active latents."""
+    assert evidence.encoder is not None
+    return _kept(evidence.encoder, evidence.encoder.active)
+
+
+def _kept(encoder: Encoder, keep: Array) -> tuple[View, Any]:
     parameters = {"variables": encoder.variables, "keep": keep}
     return reconstructed(encoder.network), parameters
 
 
-def masked(evidence: Evidence) -> tuple[View, Any]:
-    """The view of what is active and not masked."""
-    assert evidence.encoder is not None
-    return kept(evidence.encoder, evidence.encoder.active & ~jnp.asarray(evidence.mask))
+def given(demos: Demos, _: Evidence, __: Ask) -> Demos:
+    """The demonstrations as they are."""
+    return demos
 
 
 def _same(config: CloneConfig) -> CloneConfig:

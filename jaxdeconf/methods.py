@@ -1,4 +1,4 @@
-"""The methods, a row each. To add one, add a row; nothing else names a method.
+"""The methods, a row each. To add one, add a row; nothing else names a method. Rivals' are theirs.
 
 They are one `clone` on different views of the same frames (Section V-B). Inpainted is ours, the
 others are the paper's. Everything that goes by method follows from this table: order and colours,
@@ -12,8 +12,8 @@ import jax.numpy as jnp
 
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import View
-from jaxdeconf.method import Evidence, Method, as_they_are, kept, masked
-from jaxdeconf.rivals import oracles
+from jaxdeconf.method import Evidence, Method, as_they_are, masked, unmasked
+from jaxdeconf.rivals import fair, oracles
 from jaxdeconf.views import covered, inpainted
 
 
@@ -57,11 +57,6 @@ def _inpainted(evidence: Evidence) -> tuple[View, Any]:
     return inpainted(evidence.encoder.network), parameters
 
 
-def _unmasked(evidence: Evidence) -> tuple[View, Any]:
-    assert evidence.encoder is not None
-    return kept(evidence.encoder, evidence.encoder.active)
-
-
 METHODS: dict[str, Method] = {
     "BcVanilla": Method(as_they_are, "The frames as they are."),
     "BcManual": Method(
@@ -81,10 +76,10 @@ METHODS: dict[str, Method] = {
         needs=("encoder", "mask", "region"),
     ),
     "Reconstructed": Method(
-        _unmasked,
+        unmasked,
         "Reconstructed by the same β-VAE with nothing masked: what the reconstruction does alone.",
         needs=("encoder",),
         kind="control",
     ),
 }
-METHODS |= oracles.ROWS
+METHODS |= fair.ROWS | oracles.ROWS

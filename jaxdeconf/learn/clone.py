@@ -121,15 +121,46 @@ def action_error(
     return (errors.mean(axis=1) * weight).sum() / weight.sum()
 
 
+def ago(data: Demonstrations, indices: Array, steps: int) -> tuple[Array, Array]:
+    """[B] the samples so many steps before those that are named, and [B] bool where there is none.
+
+    Where there is none the index is of some other sample.
+    """
+    return jnp.maximum(indices - steps, 0), data.step[indices] < steps
+
+
 def stacked(config: CloneConfig, data: Demonstrations, indices: Array) -> Array:
     """[B, H, W, 3 L] the network's input for the samples that are named."""
 
-    def ago(steps: int) -> Array:
-        frames = data.frames[jnp.maximum(indices - steps, 0)]
-        before = (data.step[indices] < steps)[:, None, None, None]
-        return jnp.where(before, blank(frames), frames) if steps else frames
+    def frame(steps: int) -> Array:
+        then, none = ago(data, indices, steps)
+        frames = data.frames[then]
+        return jnp.where(none[:, None, None, None], blank(frames), frames) if steps else frames
 
-    return stack([ago(steps) for steps in reversed(range(config.frames))])
+    return stack([frame(steps) for steps in reversed(range(config.frames))])
+
+
+def imitate(
+    config: CloneConfig,
+    variables: Variables,
+    data: Demonstrations,
+    indices: Array,
+    images: Array,
+    gate: Callable[[Array], Array] | None = None,
+) -> tuple[Array, Array, Any]:
+    """A batch's error, the features [B, F] that its actions follow from, the new `batch_stats`.
+
+    Args:
+      config: the policy's.
+      variables: of the network.
+      data: what is cloned.
+      indices: [B] the samples.
+      images: [B, H, W, 3 L] what the network is given for them; `stacked` as a rule.
+      gate: see `resnet.look`.
+    """
+    predicted, features, stats = resnet.look(config.network, variables, images, True, gate)
+    weight = None if data.weight is None else data.weight[indices]
+    return action_error(config, predicted, data.actions[indices], weight), features, stats
 
 
 def objective(config: CloneConfig) -> Loss:
@@ -137,9 +168,8 @@ def objective(config: CloneConfig) -> Loss:
 
     def loss(variables: Variables, data: Demonstrations, indices: Array, key: Array, step: Array):
         images = stacked(config, data, indices)
-        predicted, stats = resnet.apply(config.network, variables, images, train=True)
-        weight = None if data.weight is None else data.weight[indices]
-        return action_error(config, predicted, data.actions[indices], weight), (stats, {})
+        error, _, stats = imitate(config, variables, data, indices, images)
+        return error, (stats, {})
 
     return loss
 

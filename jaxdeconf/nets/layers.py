@@ -43,8 +43,10 @@ def norm(config: Config, x: Array, train: bool, name: str) -> Array:
     )(x)
 
 
-def run(module: nn.Module, variables: Variables, x: Array, train: bool) -> tuple[Any, Any]:
+def run(
+    module: nn.Module, variables: Variables, x: Array, train: bool, **options
+) -> tuple[Any, Any]:
     """A module's outputs, as float32, and its `batch_stats` after this batch."""
-    out, updates = module.apply(variables, x, train=train, mutable=["batch_stats"])
+    out, updates = module.apply(variables, x, train=train, mutable=["batch_stats"], **options)
     out = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), out)
     return out, updates.get("batch_stats", {})

@@ -4,6 +4,7 @@ Two plain functions, `init` and `apply`, hide Flax; the variables are plain pytr
 models. Shapes: B batch, H × W pixels, C channels (3 a frame, L frames stacked), A action.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -92,8 +93,27 @@ def apply(
     Returns:
       [B, A] float32 outputs, and the `batch_stats` to carry on with (unchanged if not `train`).
     """
+    outputs, _, batch_stats = look(config, variables, images, train)
+    return outputs, batch_stats
+
+
+def look(
+    config: ResNetConfig,
+    variables: Variables,
+    images: Array,
+    train: bool,
+    gate: Callable[[Array], Array] | None = None,
+) -> tuple[Array, Array, Any]:
+    """What `apply` returns, and between the two the features [B, F] that the last layer is given.
+
+    Args:
+      config, variables, images, train: as in `apply`.
+      gate: of the last map [B, h, w, channels], just before it is pooled, to one of that shape.
+    """
     outputs = variables["params"]["head"]["bias"].shape[0]
-    return layers.run(_ResNet(config, outputs), variables, images, train)
+    network = _ResNet(config, outputs)
+    (out, features), batch_stats = layers.run(network, variables, images, train, gate=gate)
+    return out, features, batch_stats
 
 
 def spatial_softmax(x: Array) -> Array:
@@ -133,7 +153,7 @@ class _ResNet(nn.Module):
     outputs: int
 
     @nn.compact
-    def __call__(self, images: Array, train: bool) -> Array:
+    def __call__(self, images: Array, train: bool, gate: Any = None) -> tuple[Array, Array]:
         width = self.config.width
         x = 2 * images - 1
         if self.config.stem == "cifar":
@@ -149,7 +169,8 @@ class _ResNet(nn.Module):
                     name=f"stage_{stage + 1}_block_{block + 1}",
                 )(x, train)
         x = _norm_relu(self.config, x, train, "norm")
+        x = x if gate is None else gate(x)
         x = spatial_softmax(x) if self.config.pool == "spatial_softmax" else x.mean((1, 2))
         for i, features in enumerate(self.config.hidden, 1):
             x = nn.relu(dense(self.config, features, f"hidden_{i}")(x))
-        return dense(self.config, self.outputs, "head")(x)
+        return dense(self.config, self.outputs, "head")(x), x

@@ -51,12 +51,13 @@ def test_the_network_sees_the_last_frames_of_its_episode_and_blank_ones_before(c
 def test_the_loss_is_of_what_the_network_makes_of_them(monkeypatch):
     data, indices = demonstrations(), jnp.array([14, 0, 5])
 
-    def apply(config, variables, images, train):
+    def look(config, variables, images, train, gate):
         assert config == NETWORK
         assert train
-        return images[:, 0, 0, :3].mean(axis=1, keepdims=True) * variables["scale"], {"seen": 1}
+        assert gate is None
+        return images[:, 0, 0, :3].mean(axis=1, keepdims=True) * variables["scale"], 0, {"seen": 1}
 
-    monkeypatch.setattr(resnet, "apply", apply)
+    monkeypatch.setattr(resnet, "look", look)
     loss = clone.objective(CloneConfig(frames=3, network=NETWORK))
     value, (stats, metrics) = loss({"scale": 2.0}, data, indices, jax.random.key(0), jnp.int32(0))
     oldest = stacks_by_loops(data.frames, LENGTHS, 3)[np.asarray(indices)][:, 0, 0, :3].mean(axis=1)

@@ -132,3 +132,33 @@ def test_places_and_hidden_layers_train_too():
     # A norm-free block without biases: every layer gets a gradient.
     for leaf in jax.tree.leaves(jax.grad(loss)(variables["params"])):
         assert jnp.abs(leaf).max() > 0
+
+
+def test_a_look_is_what_apply_gives_and_the_features_of_the_last_layer():
+    config = ResNetConfig(4, "imagenet", stages=2, hidden=(6,))
+    variables = init(config, jax.random.key(0), (32, 32, 6), 2)
+    look = jax.jit(resnet.look, static_argnums=(0, 3, 4))
+    for train in (True, False):
+        outputs, features, stats = look(config, variables, images(), train, None)
+        plain, plain_stats = apply(config, variables, images(), train)
+        np.testing.assert_array_equal(outputs, plain)
+        assert jax.tree.all(jax.tree.map(jnp.array_equal, stats, plain_stats))
+        assert features.shape == (6, 6)
+        head = variables["params"]["head"]
+        np.testing.assert_allclose(features @ head["kernel"] + head["bias"], outputs, rtol=1e-5)
+
+
+def test_a_gate_stands_between_the_last_map_and_its_pool():
+    config, shapes = ResNetConfig(4, "imagenet", stages=2), []
+    variables = init(config, jax.random.key(0), (32, 48, 6), 2)
+
+    def gate(x):
+        shapes.append(x.shape)
+        return x.at[:, 1:].set(0.0).at[:, :1].multiply(2.0)
+
+    size = (32, 48)
+    whole = []
+    resnet.look(config, variables, images(size=size), False, lambda x: whole.append(x) or x)
+    _, features, _ = resnet.look(config, variables, images(size=size), False, gate)
+    assert shapes == [(6, 4, 6, 8)]
+    np.testing.assert_allclose(features, 2 * whole[0][:, :1].sum((1, 2)) / 24, rtol=1e-5)
