@@ -44,14 +44,11 @@ class Statistic(NamedTuple):
 def from_values(x: Array, y: Array, statistic: Statistic, platform: str) -> Array:
     """[S, P] float64 of x [S, N] and y [P, N], ranked on the device."""
     (ranks_x, tied_x), (ranks_y, tied_y) = rank_on_device(x), rank_on_device(y)
-    tied = jnp.maximum(tied_x, tied_y)
-    untied = (ranks._replace(first=None, last=None) for ranks in (ranks_x, ranks_y))
-    branches = (
-        partial(from_ranks, *untied, statistic, platform),
-        partial(from_ranks, ranks_x, ranks_y, statistic, platform, small=True),
+    result = jax.lax.cond(
+        jnp.maximum(tied_x, tied_y) > SMALL,
         partial(from_ranks, ranks_x, ranks_y, statistic, platform),
+        partial(from_ranks, ranks_x, ranks_y, statistic, platform, small=True),
     )
-    result = jax.lax.switch((tied > 1) + (tied > SMALL).astype(jnp.int32), branches)
     missing = jnp.isnan(x).any(axis=1)[:, None] | jnp.isnan(y).any(axis=1)[None, :]
     return jnp.where(missing, jnp.nan, result)
 
@@ -157,18 +154,30 @@ def _below(xs: Views, ys: Views, row: Array, col: Array, grid: Grid, weighted: b
     if xs.first is not None and xs.last is not None:
         first_x, last_x = grid.tile(xs.first[row]), grid.tile(xs.last[row])
     first_y = last_y = p
+    tied = _any_tied(xs, row) | _any_tied(ys, col)
     if ys.first is not None and ys.last is not None:
-        place = grid.place(pair, p)
-        first_y, last_y = (take(grid.tile(ends[col]), place) for ends in (ys.first, ys.last))
+        ends = ys.first[col], ys.last[col]
+
+        def in_order() -> tuple[Array, Array]:
+            place = grid.place(pair, p)
+            first, last = (take(grid.tile(end), place) for end in ends)
+            return first, last
+
+        first_y, last_y = jax.lax.cond(tied, in_order, lambda: (p, p))
     weights = first_y + last_y if weighted else None
     if xs.orders * ys.orders == 1:
         digits = read(xs.digit, ys.order, row, col, grid)
         both, y_of_both = count_below(p, digits, grid, weights)
         if xs.first is not None or ys.first is not None:
-            opposite = read(xs.rank, ys.order, row, col, grid)
-            groups = _Groups(position, p, first_x, last_x, first_y, last_y, opposite)
-            counts, weight = _corrections(groups, weights, grid)
-            both, y_of_both = both + counts, y_of_both + weight
+
+            def corrected() -> tuple[Array, Array]:
+                opposite = read(xs.rank, ys.order, row, col, grid)
+                groups = _Groups(position, p, first_x, last_x, first_y, last_y, opposite)
+                counts, weight = _corrections(groups, weights, grid)
+                return both + counts, y_of_both + weight
+
+            plain = both.astype(jnp.float64), y_of_both.astype(jnp.float64)
+            both, y_of_both = jax.lax.cond(tied, corrected, lambda: plain)
     else:
         # Reversing the ties takes a sample to its mirror image in the group, and back.
         own = grid.place(pair, position), grid.place(pair, first_x + last_x - position)
@@ -182,6 +191,13 @@ def _below(xs: Views, ys: Views, row: Array, col: Array, grid: Grid, weighted: b
         tied_x=half * (last_x - first_x),
         tied_y=half * (last_y - first_y),
     )
+
+
+def _any_tied(views: Views, variables: Array) -> Array:
+    """[] bool: whether one of the variables [C] has ties."""
+    if views.first is None or views.last is None:
+        return jnp.array(False)
+    return (views.first[variables] != views.last[variables]).any()
 
 
 class _Groups(NamedTuple):
@@ -232,7 +248,7 @@ def _corrections(of: _Groups, weights: Array | None, grid: Grid) -> tuple[Array,
         return counts + share, weighed if weights is None else weighed + share * of_other(weights)
 
     zeros = jnp.zeros(of.y.shape, jnp.float64)
-    sums = zeros, zeros if weights is not None else jnp.zeros((), jnp.float64)
+    sums = zeros, zeros
     most_x, most_y = (of.last_x - of.first_x).max() + 1, (of.last_y - of.first_y).max() + 1
     return jax.lax.fori_loop(1, most_y, in_y, jax.lax.fori_loop(1, most_x, in_x, sums))
 

@@ -6,15 +6,19 @@ Shapes: K seeds.
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from jaxdeconf import systems
+from jaxdeconf.method import Price
 from jaxdeconf.methods import METHODS
+from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.results import Judged, Row
 from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
+from jaxdeconf.report.standing import Standing
 from jaxdeconf.report.words import EXPERT
 from jaxdeconf.sweep.grid import METHODS_AXIS
 from jaxdeconf.sweep.log import Sweep
@@ -24,24 +28,6 @@ _KINDS = ("fair", "oracle", "control")
 _MOST_AGAINST = 0.8  # share of the seeds that must agree for a difference to hold
 
 
-class Standing(NamedTuple):
-    """A method over the seeds."""
-
-    method: str
-    seeds: list[int]  # [K]
-    judged: list[Judged]  # [K]
-    experts: np.ndarray  # [K] the expert's rollout loss
-
-    @property
-    def losses(self) -> np.ndarray:
-        """[K] mean rollout losses."""
-        return np.array([one.rollout_loss.mean for one in self.judged])
-
-    def mean(self, name: str) -> float:
-        """Of a number of the policies, over the seeds."""
-        return float(np.mean([getattr(one, name) for one in self.judged]))
-
-
 def write(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
     """Writes compare.jsonl, `figures/` and `report.html`; returns lines for the terminal."""
     canvas.import_matplotlib()
@@ -49,7 +35,7 @@ def write(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
 
     count, body = len(sweep.points), []
     with writing(directory):
-        lines = [json.dumps(to_plain(line), allow_nan=False) for line in records(rows)]
+        lines = [json.dumps(to_plain(line), allow_nan=False) for line in records(sweep, rows)]
         (directory / FILE).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
         if len(rows) < count:
             body.append(page.paragraph([f"{count - len(rows)} of {count} are not done."], "strong"))
@@ -57,7 +43,7 @@ def write(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
         for number, (scene, own) in enumerate(scenes(sweep, rows).items()):
             found = standings(own)
             drawn = canvas.write(directory / "figures" / f"{number}", FIGURES, found)
-            head, cells, note = table(found)
+            head, cells, note = table(found, sweep.base)
             body += [page.heading(scene or "Methods"), page.table(head, cells, note)]
             body += [page.paragraph(differences(found)), *page.images(drawn)]
             said += [*([scene] if scene else []), *words.aligned(head, cells), *differences(found)]
@@ -68,7 +54,15 @@ def write(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
     return "\n".join([*said, f"report: {directory / 'report.html'}"])
 
 
-def records(rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
+def asked(method: str, config: Config) -> Price:
+    """What a method asks for beside the demonstrations."""
+    price = METHODS[method].price if method in METHODS else None
+    known = config.system in systems.names()
+    steps = config.clone.trajectory_steps or (systems.get(config.system).steps if known else 0)
+    return price(config.collect.expert_trajectories, steps) if price else Price()
+
+
+def records(sweep: Sweep, rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
     """A line a method and seed, flat, for other programs."""
     for row in rows:
         for name, judged in row.policies.items():
@@ -89,6 +83,7 @@ def records(rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
                 "predictability": judged.predictability,
                 "leakage": judged.leakage,
                 "minutes": judged.seconds / 60.0,
+                **asked(name, sweep.base)._asdict(),
             }
 
 
@@ -121,10 +116,10 @@ def standings(rows: Sequence[Row]) -> list[Standing]:
     return sorted(every, key=place)
 
 
-def table(found: Sequence[Standing]) -> tuple[list[str], list[list[str]], str]:
+def table(found: Sequence[Standing], config: Config) -> tuple[list[str], list[list[str]], str]:
     """Head, cells and note."""
     head = ["", "kind", "seeds", "rollout loss", f"/ {EXPERT}", "median", "outcome", "train loss"]
-    head += ["copycat", "predictability", "leakage R²", "minutes"]
+    head += ["copycat", "predictability", "leakage R²", "minutes", "labels", "episodes"]
     cells = []
     for one in found:
         medians = np.array([judged.rollout_loss.median for judged in one.judged])
@@ -142,12 +137,14 @@ def table(found: Sequence[Standing]) -> tuple[list[str], list[list[str]], str]:
                 words.number(one.mean("predictability")),
                 words.fixed(one.mean("leakage"), 3),
                 words.fixed(one.mean("seconds") / 60.0, 1),
+                *(f"{count:,}" if count else "–" for count in asked(one.method, config)),
             ]
         )
     note = (
         "Mean stage cost a step, ± standard error over seeds; median over rollouts. Copycat: mean "
         "change of the action over its limit when only the nuisance is redrawn. Predictability: "
-        "error of telling an action from the one before, over the expert's; below 1 is a copycat."
+        "error of telling an action from the one before, over the expert's; below 1 is a copycat. "
+        "Labels: the expert's, asked for beside the demonstrations; episodes: driven for it."
     )
     return head, cells, note
 

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxdeconf.report import canvas, words
-from jaxdeconf.report.compare import Standing
 from jaxdeconf.report.figures import LOSS, log_losses
+from jaxdeconf.report.standing import Standing
 
 
 def losses(found: Sequence[Standing]) -> Figure | None:
