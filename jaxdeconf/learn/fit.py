@@ -6,7 +6,7 @@ go on from, to the last bit.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -218,6 +218,11 @@ def fit(
     for length in lengths(config, samples, int(state.step), stops):
         state, metrics = _chunk(objective, samples, state, data, config, key, jnp.int32(length))
         yield state, metrics
+
+
+def told(metrics: Mapping[str, Any]) -> Any:
+    """The metric that is told of a training: the error, where the loss holds more than that."""
+    return metrics.get("error", metrics["loss"])
 
 
 class Training(NamedTuple):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxdeconf.learn.fit import FitState, Training
+from jaxdeconf.learn.fit import FitState, Training, told
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
@@ -108,7 +108,7 @@ class Run:
             with self.reporter.bar(name, total, done) as bar:
                 chunks = bar.track(training.chunks(name, state, visits), config)
                 for state, metrics in chunks:
-                    notes["losses"] = [*notes["losses"], metrics["loss"]]
+                    notes["losses"] = [*notes["losses"], told(metrics)]
                     visited = int(state.step) in (*visits, total)
                     if visited:
                         seen = visit(training.trained(state)) if visit else []

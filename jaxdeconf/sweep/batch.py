@@ -15,7 +15,7 @@ from jax import Array
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxdeconf.learn.fit import FitState, Training
+from jaxdeconf.learn.fit import FitState, Training, told
 from jaxdeconf.learn.many import AXIS, Models, fit_many
 
 # Steps at once on an accelerator beyond which nothing is gained.
@@ -99,7 +99,7 @@ def train_all(
         for steps, metrics, states in _train([jobs[i] for i in chosen], space):
             progress(total * start + steps * len(chosen), float(metrics["loss"].mean()))
             if states is not None:
-                seconds, loss = time.perf_counter() - begin, metrics["loss"]
+                seconds, loss = time.perf_counter() - begin, told(metrics)
                 yield [
                     Trained(i, jax.tree.map(lambda a, k=k: a[k], states), float(loss[k]), seconds)
                     for k, i in enumerate(chosen)
