@@ -57,6 +57,26 @@ class MaskConfig:
         checks.integer("states_together", self.states_together, most=2)
 
 
+class Tested(NamedTuple):
+    """What each state was found to have to do with each column; C pairs of states, or none."""
+
+    alone: Array  # [S, P] the statistic; R on its scale where the pair is tied
+    largest: Array  # [S, P] that, or R of the state and another one, whichever is larger
+    tied: Array  # [S, P] bool
+    pairs: Array  # [C, P] R of what two states tell only together, as `pairs_of` orders them
+
+
+def all_tests(
+    states: ArrayLike, columns: ArrayLike, statistic: str = "hoeffding", states_together: int = 1
+) -> Tested:
+    """The tests that Algorithm 1 makes: states [N, S] against columns [N, P]; see `find_mask`."""
+    d, tied = with_ties(states, columns, STATISTICS[statistic])
+    if states_together == 1:
+        return Tested(d, d, tied, jnp.zeros((0, d.shape[1])))
+    pairs = interaction_r(states, columns)
+    return Tested(d, strongest(d, pairs), tied, pairs)
+
+
 class Mask(NamedTuple):
     """The mask and the evidence for it; with thresholds [...], the mask of each.
 
@@ -126,14 +146,10 @@ def find_mask(
     controls = checks.array("actions", actions, f"[{n}, H, A]", (n, None, None), finite=True)
     checks.one_of("statistic", statistic, tuple(STATISTICS))
     checks.integer("states_together", states_together, most=2)
-    tested = _side_by_side(latents, controls)
-    count = family(coordinates, tested.shape[1], states_together)
+    columns = _side_by_side(latents, controls)
+    count = family(coordinates, columns.shape[1], states_together)
     gamma = effective_threshold(threshold, alpha, n, count)
-    d, tied = with_ties(states, tested, STATISTICS[statistic])
-    pairs = jnp.zeros((0, tested.shape[1]))
-    if states_together == 2:
-        pairs = interaction_r(states, tested)
-        d = strongest(d, pairs)
+    _, d, tied, pairs = all_tests(states, columns, statistic, states_together)
     if not isinstance(tied, Tracer) and tied.any():
         _warn_of_few_events(initial_states=states, observations=latents, actions=controls)
 
@@ -141,7 +157,7 @@ def find_mask(
         observed, acted = jnp.split(pairs, [latents.shape[1]], axis=1)
         return observed, acted.reshape(-1, *controls.shape[1:])
 
-    (state_observation, state_action), tied, together = split(d), split(tied), split(pairs)
+    (state_observation, state_action), of_ties, together = split(d), split(tied), split(pairs)
     potential_cause = potential_causes(state_observation, state_action, gamma)
     return Mask(
         mask=~potential_cause.any(axis=(-2, -1)),
@@ -151,8 +167,8 @@ def find_mask(
         threshold=gamma,
         p_state_observation=p_value(state_observation, n),
         p_state_action=p_value(state_action, n),
-        tied_state_observation=tied[0],
-        tied_state_action=tied[1],
+        tied_state_observation=of_ties[0],
+        tied_state_action=of_ties[1],
         pair_observation=together[0],
         pair_action=together[1],
     )

@@ -10,12 +10,12 @@ import numpy as np
 from jax import Array
 
 from jaxdeconf import checks
-from jaxdeconf.independence import hoeffding_d, least_strength
-from jaxdeconf.independence.interaction import interaction_r, pairs_of, strongest
+from jaxdeconf.independence import least_strength
+from jaxdeconf.independence.interaction import pairs_of
 from jaxdeconf.keys import named
 from jaxdeconf.leakage import explained
 from jaxdeconf.learn.linear_start import linear_start
-from jaxdeconf.mask import effective_threshold, family
+from jaxdeconf.mask import all_tests, effective_threshold, family
 from jaxdeconf.owndata.config import Masking
 from jaxdeconf.owndata.dataset import Dataset
 from jaxdeconf.vision import raster
@@ -100,12 +100,10 @@ def check(demos: Dataset, exploration: np.ndarray, config: Masking, key: Array) 
     tests = family(len(names), latents + actions.shape[1], config.states_together)
     gamma = float(effective_threshold(config.threshold, config.alpha, episodes, tests))
     order = np.arange(episodes)[:, None]
-    every = hoeffding_d(states, np.concatenate([actions, states, order], axis=1))  # compiled once
-    alone, mutual = np.split(np.asarray(every), [actions.shape[1]], axis=1)
-    pairs, d = np.zeros((0, actions.shape[1])), alone
-    if config.states_together == 2:
-        pairs = np.asarray(interaction_r(states, actions))
-        d = np.asarray(strongest(alone, pairs))
+    columns = np.concatenate([actions, states, order], axis=1)
+    found = all_tests(states, columns, states_together=config.states_together)  # compiled once
+    mutual = np.asarray(found.alone)[:, actions.shape[1] :]
+    pairs, d = (np.asarray(v)[:, : actions.shape[1]] for v in (found.pairs, found.largest))
     d = d.reshape(len(names), steps, -1)
     moves = d.max(axis=(1, 2)) > gamma
     known = linear_spread(demos, exploration, config, key)

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxdeconf.independence import hoeffding_d
 from jaxdeconf.owndata.check import check, visible
 from tests.owndata.scene import CONFIG, opened, scene
 
@@ -54,6 +55,17 @@ def test_states_that_move_nothing_are_refused(demos, random_frames):
     found = check(demos._replace(actions=noise), random_frames, CONFIG, KEY)
     assert found.refused is not None
     assert "no initial state moves an action" in found.refused
+
+
+def test_a_button_that_is_seldom_pressed_is_seen_to_be_moved(demos, random_frames):
+    """By D, whose value is held down by ties, nothing would seem to move it."""
+    left = demos.initial_states[:, 0]
+    pressed = (left > np.quantile(left, 0.98)).astype(np.float32)
+    assert hoeffding_d(left, pressed) < check(demos, random_frames, CONFIG, KEY).threshold
+    button = np.repeat(pressed, demos.lengths)[:, None]
+    found = check(demos._replace(actions=button), random_frames, CONFIG, KEY)
+    assert (found.state_action[0] > found.threshold).all()
+    assert "No test shows an action that depends on right." in found.notes
 
 
 def test_what_looks_wrong_is_said(demos, random_frames):
