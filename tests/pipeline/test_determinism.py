@@ -40,13 +40,13 @@ ALONE = {
     "expert",
     "VAE initial weights",
     "VAE training",
-    "nuisance share",
-    "region",
+    *("nuisance share", "region", "predictability"),
     # Of a dataset of one's own.
     *("linear start", "check", "told", "stability", "retention", "written"),
     # Of rivals.
     *("shaken", "clone drives", "nuisance redrawn", "probe"),
     *("CCIL initial weights", "CCIL training", "CCIL queries", "CCIL returns"),
+    *("VQ-VAE initial weights", "VQ-VAE training", "adversary initial weights", "keyframes"),
     # Of the theory's experiments.
     *("structures", "structural data", "normal columns", "pairs"),
     *("square", "first squares", "coupled", "driven", "redrawn"),
