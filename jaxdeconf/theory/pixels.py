@@ -48,7 +48,7 @@ class PixelsConfig:
     method: str = field(default_factory=lambda: masking()[-1])  # cloned behind each mask
     datasets: int = 40  # that are masked; of `dataset` of the expert's trajectories, squares anew
     dataset: int = 1000
-    rollouts: int = 60
+    rollouts: int = 100
     # H, W: half the pixels and half the time; at 32 × 32 the masked latents' reach is not local.
     size: tuple[int, int] = (48, 48)
     random_trajectories: int = 1500
@@ -65,7 +65,7 @@ class PixelsConfig:
     )
     mask: MaskConfig = field(default_factory=lambda: MaskConfig(reaction_horizon=3))
     clone: CloneConfig = field(
-        default_factory=lambda: replace(bc.CPU, steps=700, trajectory_steps=40)
+        default_factory=lambda: replace(bc.CPU, steps=1000, trajectory_steps=40)
     )
 
     def __post_init__(self):
