@@ -7,7 +7,7 @@ of one system. Shapes: B systems, S state, O observation, H reaction horizon, P 
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -216,24 +216,19 @@ def run_tests(
 
 
 def _in_chunks(compute: Callable[[np.ndarray], Any], count: int) -> Any:
-    """A pytree of arrays [count, ...] of what is computed for numbers [_CHUNK] below count."""
-    chunks = [np.arange(begin, begin + _CHUNK) % count for begin in range(0, count, _CHUNK)]
-    found = [jax.block_until_ready(compute(chunk)) for chunk in chunks]
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+    """A pytree of arrays [count, ...] of what is computed for numbers [_CHUNK] below count.
 
-
-def _each(counts: Iterable[int], compute: Callable[[int], Any]) -> dict[int, Any]:
-    """What is computed for each N, of the largest first.
-
-    A program compiles on one core and runs its systems one after another, so each core has an N of
-    its own.
+    A program runs its systems one after another, so each core has a chunk of its own; the first is
+    computed alone, and compiles for all: XLA may crash where two threads compile.
     """
-    largest_first = sorted(counts, reverse=True)
+    chunks = [np.arange(begin, begin + _CHUNK) % count for begin in range(0, count, _CHUNK)]
+    found = [jax.block_until_ready(compute(chunks[0]))]
     if isinstance(jnp.zeros(()), Tracer):  # shapes are asked for, of which other threads know not
-        return {n: compute(n) for n in largest_first}
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = dict(zip(largest_first, pool.map(compute, largest_first), strict=True))
-    return dict(sorted(found.items()))
+        found += map(compute, chunks[1:])
+    else:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            found += pool.map(lambda chunk: jax.block_until_ready(compute(chunk)), chunks[1:])
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
 
 
 def measure(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> dict[int, Measured]:
@@ -245,7 +240,7 @@ def measure(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> dict[in
         intervened, natural = jax.random.split(jax.random.fold_in(key, n))
         return Measured(test(intervened), test(natural, coupling=1.0))
 
-    return stage("systems", lambda: _each(config.trajectories, one))
+    return stage("systems", lambda: {n: one(n) for n in config.trajectories})
 
 
 def conservative(
@@ -277,7 +272,7 @@ def _broken(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
             found[f"{BUTTON}, tested by R"] = tied
         return found
 
-    found = stage("assumptions broken", lambda: _each(_few(config, _BROKEN), tests))
+    found = stage("assumptions broken", lambda: {n: tests(n) for n in _few(config, _BROKEN)})
     for n in _few(config, _BROKEN):
         gamma = config.gamma(n)
         for name, one in found[n].items():
@@ -307,7 +302,7 @@ def pairs(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> list[Rate
             for name, of in systems.items()
         }
 
-    found = stage("pairs", lambda: _each(_few(config, _BROKEN), tests))
+    found = stage("pairs", lambda: {n: tests(n) for n in _few(config, _BROKEN)})
     for n in _few(config, _BROKEN):
         for name, one in found[n].items():
             for word, count in _TOGETHER.items():
@@ -403,7 +398,7 @@ def _of_tests(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
         some = partial(_normal_columns, strength=least[n], trajectories=n)
         return _in_chunks(lambda chunk: some(keys[chunk]), len(keys))
 
-    found = stage("normal columns", lambda: _each(few, pairs))
+    found = stage("normal columns", lambda: {n: pairs(n) for n in few})
     for n in few:
         d, strength = np.asarray(found[n]), least[n]
         for some in columns:
