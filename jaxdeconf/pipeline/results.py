@@ -37,7 +37,6 @@ class Judged(NamedTuple):
     # Error of telling an action from the one before, on its rollouts over that on the expert's:
     # below 1 is a copycat (Wen et al. 2020).
     predictability: float = float("nan")
-    seconds: float = float("nan")  # of training; beside others, where several train at once
 
 
 class JudgedExpert(NamedTuple):
@@ -116,6 +115,7 @@ class Row(NamedTuple):
     precision: float | None = None  # of the mask's latents, the share that is the nuisance's
     recall: float | None = None  # of the nuisance's latents, the share that is masked
     expert: JudgedExpert | None = None
+    seconds: dict[str, float] = {}  # noqa: RUF012  of each policy's training, with its batch
 
 
 class Pictures(NamedTuple):

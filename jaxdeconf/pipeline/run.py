@@ -92,8 +92,7 @@ def run(
         with this.reporter.bar(f"judge {name}", 1) as bar:
             history = this.history[f"clone {name}"]
             curve = [[epoch, *losses] for epoch, _, *losses in history]
-            found, driven[name] = judge.judge_policy(trial, policy, history[-1][1], curve)
-            judged[name] = found._replace(seconds=this.seconds[f"clone {name}"])
+            judged[name], driven[name] = judge.judge_policy(trial, policy, history[-1][1], curve)
             bar.update(1, f"rollout loss {judged[name].rollout_loss.mean:.3g}")
         this.interruption.check()
     found = _results(this, trial, encoder, mask, region, judged)

@@ -82,7 +82,7 @@ def records(sweep: Sweep, rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
                 "copycat": judged.copycat,
                 "predictability": judged.predictability,
                 "leakage": judged.leakage,
-                "minutes": judged.seconds / 60.0,
+                "minutes": row.seconds[name] / 60.0,
                 **asked(name, sweep.base)._asdict(),
             }
 
@@ -99,15 +99,16 @@ def scenes(sweep: Sweep, rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 def standings(rows: Sequence[Row]) -> list[Standing]:
     """Fair methods first, then oracles, then controls; of a kind, the lowest loss first."""
-    found: dict[str, list[tuple[int, Judged, float]]] = {}
+    found: dict[str, list[tuple[int, Judged, float, float]]] = {}
     for row in sorted(rows, key=lambda row: row.values["seed"]):
         expert = row.expert.rollout_loss if row.expert else np.nan
         for name, judged in row.policies.items():
-            found.setdefault(name, []).append((row.values["seed"], judged, expert))
+            one = row.values["seed"], judged, expert, row.seconds[name]
+            found.setdefault(name, []).append(one)
     every = []
     for name, held in found.items():
-        seeds, judged, experts = zip(*held, strict=True)
-        every.append(Standing(name, list(seeds), list(judged), np.array(experts)))
+        seeds, judged, experts, seconds = zip(*held, strict=True)
+        every.append(Standing(name, [*seeds], [*judged], np.array(experts), np.array(seconds)))
 
     def place(one: Standing) -> tuple[int, float]:
         loss = one.losses.mean()
@@ -136,7 +137,7 @@ def table(found: Sequence[Standing], config: Config) -> tuple[list[str], list[li
                 words.fixed(one.mean("copycat"), 3),
                 words.number(one.mean("predictability")),
                 words.fixed(one.mean("leakage"), 3),
-                words.fixed(one.mean("seconds") / 60.0, 1),
+                words.fixed(float(one.seconds.mean()) / 60.0, 1),
                 *(f"{count:,}" if count else "–" for count in asked(one.method, config)),
             ]
         )

@@ -14,6 +14,7 @@ class Standing(NamedTuple):
     seeds: list[int]  # [K]
     judged: list[Judged]  # [K]
     experts: np.ndarray  # [K] the expert's rollout loss
+    seconds: np.ndarray  # [K] of training
 
     @property
     def losses(self) -> np.ndarray:

@@ -105,18 +105,21 @@ def _finish(
     masks = find_masks(work, points)
     jobs, needs = _needed(work, points, masks)
     judged: dict[Name, Judged] = {}
+    seconds: dict[Name, float] = {}
     for point in points:  # what an earlier process found
         for method, name in needs[point.index].items():
             if point.index in done:
                 judged[name] = done[point.index].policies[method]
+                seconds[name] = done[point.index].seconds[method]
     waiting = [point for point in points if point.index not in done]
 
     def complete() -> list[Row]:
         rows = []
         for point in [p for p in waiting if judged.keys() >= {*needs[p.index].values()}]:
             waiting.remove(point)
-            own = {method: judged[name] for method, name in needs[point.index].items()}
-            rows.append(_row(work, point, masks.get(point.index), own))
+            names = needs[point.index].items()
+            row = _row(work, point, masks.get(point.index), {m: judged[name] for m, name in names})
+            rows.append(row._replace(seconds={m: seconds[name] for m, name in names}))
         return rows
 
     if rows := complete():
@@ -130,6 +133,7 @@ def _finish(
             trained = [(*jobs[names[one.job]], one) for one in batch]
             found = [names[one.job] for one in batch]
             judged |= zip(found, _judge(work, trained), strict=True)
+            seconds |= zip(found, (one.seconds for one in batch), strict=True)
             if rows := complete():
                 yield "policies", rows
 
@@ -197,7 +201,7 @@ def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[J
         mean, std, error, median, *rest = map(float, whole[i % count, i])
         losses = Losses(mean, std, [], error, median)
         outcome, copied, leaked, predicted = rest
-        scores = outcome, copied, leaked, float(trained.loss), predicted, trained.seconds
+        scores = outcome, copied, leaked, float(trained.loss), predicted
         judged.append(Judged(losses, *scores))
     return judged
 

@@ -34,9 +34,10 @@ def rows_of(scenes=("previous_action",)):
             for seed, loss in enumerate(by_seed):
                 values = {"seed": seed, "collect.nuisance": scene, "methods": (name,)}
                 losses = Losses(loss, 9.0, [], 0.9, loss / 2)
-                judged = Judged(losses, 0.5, 0.1, 0.2, 0.01, 0.7, 90.0)
+                judged = Judged(losses, 0.5, 0.1, 0.2, 0.01, 0.7)
                 expert = JudgedExpert(2.0, 1.0, 0.0, 0.0)
-                rows.append(Row(len(rows), values, [], {name: judged}, expert=expert))
+                row = Row(len(rows), values, [], {name: judged}, expert=expert)
+                rows.append(row._replace(seconds={name: 90.0}))
     return rows
 
 
