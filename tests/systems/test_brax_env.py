@@ -204,9 +204,10 @@ def test_any_system_will_do():
 def test_what_braxs_own_environments_take():
     """A physics engine, a picture's size and a camera; and an action of the right size."""
     env = make(backend="mjx")
-    moment = brax_env.Moment(jnp.array([0.1, 0.0, 0.2, 0.0]), jnp.array([3.0]))
+    state, action = jnp.array([0.1, 0.0, 0.2, 0.0]), jnp.array([3.0])
+    moment = brax_env.Moment(state, action, action[None])
     (picture,) = env.render([moment], height=32, width=48, camera="track")
-    frame = dataclasses.replace(CARTPOLE, size=(32, 48)).frame(*jax.tree.leaves(moment))
+    frame = dataclasses.replace(CARTPOLE, size=(32, 48)).frame(state, action)
     np.testing.assert_array_equal(picture, frame)
     with pytest.raises(ValueError, match=r"^action: expected numbers of shape \[1\], got "):
         jax.eval_shape(lambda key: env.step(env.reset(key), jnp.zeros(2)), KEY)
