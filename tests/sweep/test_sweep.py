@@ -37,6 +37,7 @@ def numbers_of(row):
     """What must agree: all of a row but what is said in other words elsewhere."""
     masked = dict(row["policies"]["Masked"])
     loss = masked.pop("rollout_loss")
+    masked.pop("predictability")  # a ratio of what regressions leave of a closed loop
     numbers = [loss["mean"], loss["std"], *masked.values(), *row["expert"].values()]
     return [row["mask"], row["precision"], row["recall"], *numbers]
 
