@@ -9,18 +9,17 @@ compare.jsonl with a row a method and seed, and a report; it is a sweep over met
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from jaxdeconf import checks
 from jaxdeconf.commands import sweep as sweeps
-from jaxdeconf.commands.parse import choose, first, parse, parse_value
+from jaxdeconf.commands.parse import parse_value
 from jaxdeconf.methods import named_by
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.results import Row
 from jaxdeconf.presets import PRESETS
-from jaxdeconf.sweep.grid import METHODS_AXIS, Axis, read_axis
-from jaxdeconf.sweep.log import Sweep, read_sweep, require_same
+from jaxdeconf.sweep.grid import METHODS_AXIS, Axis
+from jaxdeconf.sweep.log import Sweep
 
 _KINDS = "all", "fair", "oracle", "control"
 
@@ -56,28 +55,16 @@ def read(
       ValueError: one line that says what is wrong.
       StoreError: if there is no comparison to resume, or another one.
     """
-    words = _spelled_out(words)
-    early = first(words)
-    checks.one_of("--system", early.system, tuple(presets))
-    place, held = early.held, None
-    if place is None:
-        preset = choose(presets[early.system], early.preset)
-        default = Arguments(config=replace(preset, methods=named_by("all")))
-    else:
-        held = read_sweep(place)
-        default = Arguments(config=held.base, seeds=held.seeds)
-    asked = parse(Arguments, "jaxdeconf compare", __doc__ or "", words, default)
-    axes = [read_axis(word, asked.config, parse_value) for word in asked.grid]
+    words, program, about = _spelled_out(words), "jaxdeconf compare", __doc__ or ""
+    asked, held = sweeps.begin(Arguments, program, about, words, presets, named_by("all"))
+    axes = sweeps.named_axes(asked)
     if asked.nuisance:
         values = (parse_value("collect.nuisance", word) for word in asked.nuisance)
-        axes.append(Axis("collect.nuisance", tuple(values)))
-    kept = [axis for axis in held.axes if axis.name != METHODS_AXIS] if held and not axes else axes
+        axes = *axes, Axis("collect.nuisance", tuple(values))
+    if held and not axes:
+        axes = tuple(axis for axis in held.axes if axis.name != METHODS_AXIS)
     methods = Axis(METHODS_AXIS, tuple((name,) for name in asked.config.methods))
-    sweep = Sweep(asked.config, (*kept, methods), asked.seeds)
-    assert sweep.points  # every combination is a valid config, or this raises
-    if place is not None:
-        require_same(place, sweep)
-    return asked, sweep
+    return asked, sweeps.agreed(asked, (*axes, methods))
 
 
 def _spelled_out(words: Sequence[str]) -> list[str]:

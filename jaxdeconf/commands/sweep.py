@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 from jax.experimental import multihost_utils
@@ -28,7 +28,7 @@ from jaxdeconf.pipeline.owner import owned
 from jaxdeconf.pipeline.results import Row
 from jaxdeconf.pipeline.store import StoreError, require_free
 from jaxdeconf.presets import PRESETS
-from jaxdeconf.sweep.grid import read_axis
+from jaxdeconf.sweep.grid import Axis, read_axis
 from jaxdeconf.sweep.log import Log, Sweep, read_sweep, require_same, write_sweep
 
 # Writes the report of a sweep's rows to a directory; returns lines for the terminal.
@@ -56,6 +56,9 @@ class Arguments(Where):
             checks.positive("memory", self.memory)
         if self.devices is not None:
             checks.integer("devices", self.devices, most=1024)
+
+
+Asked = TypeVar("Asked", bound=Arguments)
 
 
 def main(arguments: Sequence[str], presets: Mapping[str, Mapping[str, Config]] = PRESETS) -> int:
@@ -105,22 +108,56 @@ def read(
       ValueError: one line that says what is wrong.
       StoreError: if there is no sweep to resume, or another one.
     """
+    asked, held = begin(Arguments, "jaxdeconf sweep", __doc__ or "", words, presets, masking()[:1])
+    axes = named_axes(asked)
+    return asked, agreed(asked, held.axes if held and not axes else axes)
+
+
+def begin(
+    kind: type[Asked],
+    program: str,
+    description: str,
+    words: Sequence[str],
+    presets: Mapping[str, Mapping[str, Config]],
+    methods: tuple[str, ...],
+) -> tuple[Asked, Sweep | None]:
+    """The arguments, and the sweep to resume, if one is.
+
+    Args:
+      kind: a dataclass of the arguments.
+      program, description, words: as `parse` takes them.
+      presets: by system and name.
+      methods: of a sweep that begins, where none are named.
+    Raises:
+      ValueError, StoreError: as `read` does.
+    """
     early = first(words)
     checks.one_of("--system", early.system, tuple(presets))
-    place, held = early.held, None
-    if place is None:
-        preset = choose(presets[early.system], early.preset)
-        default = Arguments(config=replace(preset, methods=masking()[:1]))
+    if early.held is None:
+        held, preset = None, choose(presets[early.system], early.preset)
+        default = kind(config=replace(preset, methods=methods))
     else:
-        held = read_sweep(place)
-        default = Arguments(config=held.base, seeds=held.seeds)
-    asked = parse(Arguments, "jaxdeconf sweep", __doc__ or "", words, default)
-    axes = tuple(read_axis(word, asked.config, parse_value) for word in asked.grid)
-    sweep = Sweep(asked.config, held.axes if held and not axes else axes, asked.seeds)
+        held = read_sweep(early.held)
+        default = kind(config=held.base, seeds=held.seeds)
+    return parse(kind, program, description, words, default), held
+
+
+def named_axes(asked: Arguments) -> tuple[Axis, ...]:
+    """Those of --grid."""
+    return tuple(read_axis(word, asked.config, parse_value) for word in asked.grid)
+
+
+def agreed(asked: Arguments, axes: tuple[Axis, ...]) -> Sweep:
+    """The sweep over these axes, if its points are valid and it is the one that is resumed.
+
+    Raises:
+      ValueError, StoreError: if they are not, or it is another one.
+    """
+    sweep = Sweep(asked.config, axes, asked.seeds)
     assert sweep.points  # every combination is a valid config, or this raises
-    if place is not None:
-        require_same(place, sweep)
-    return asked, sweep
+    if asked.held is not None:
+        require_same(asked.held, sweep)
+    return sweep
 
 
 def _shard(word: str) -> tuple[int, int]:

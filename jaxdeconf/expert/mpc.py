@@ -164,11 +164,7 @@ def relabel(system: System, states: ArrayLike, config: ExpertConfig | None = Non
       ValueError: if `states` has another shape or is not finite.
     """
     config = ExpertConfig() if config is None else config
-    checks.instance("system", system, System)
-    size = len(system.state_names)
-    shape = None, None, size
-    states = checks.array("states", states, f"[N, T, {size}]", shape, finite=True)
-    return _relabel(system, jnp.asarray(states, dtype=float), config)
+    return _relabel(system, _states(system, states, "states", ("N", "T")), config)
 
 
 @partial(jax.jit, static_argnums=(0, 2))
@@ -206,11 +202,15 @@ def _converged(solution: ilqr.Solution, config: ExpertConfig) -> Array:
     return solution.promise <= config.tolerance * jnp.maximum(solution.cost, config.least_cost)
 
 
-def _states(system: System, initial_states: ArrayLike) -> Array:
-    """[N, S] as floats, or ValueError."""
+def _states(
+    system: System,
+    states: ArrayLike,
+    name: str = "initial_states",
+    axes: tuple[str, ...] = ("N",),
+) -> Array:
+    """[*axes, S] as floats, or ValueError."""
     checks.instance("system", system, System)
     size = len(system.state_names)
-    states = checks.array(
-        "initial_states", initial_states, f"[N, {size}]", (None, size), finite=True
-    )
+    form, shape = f"[{', '.join(axes)}, {size}]", (*[None] * len(axes), size)
+    states = checks.array(name, states, form, shape, finite=True)
     return jnp.asarray(states, dtype=float)

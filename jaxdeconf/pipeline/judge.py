@@ -4,6 +4,8 @@ Shapes: O latents, A action, T time, n frames, V values.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -36,13 +38,19 @@ _TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
 _STRIP = 10  # frames
 
 
-class Trial(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Trial:
     """What everything of a run is judged on, the same for all policies."""
 
     system: System
     key: Array
     collected: Collected
     held_out: Exploration  # under the random policy, where the nuisance is known
+
+    @cached_property
+    def unpredicted(self) -> float:
+        """The error of telling the expert's actions each from the one before."""
+        return _unpredicted(self, self.collected.evaluation)
 
 
 def trial(system: System, key: Array, collected: Collected) -> Trial:
@@ -120,10 +128,7 @@ def drive(trial: Trial, policy: Policy, rollouts: int | None = None) -> Trajecto
 
 def rollout_loss(trial: Trial, driven: Trajectories) -> Losses:
     """Over the rollouts of a policy."""
-    loss = np.asarray(evaluate.rollout_loss(trial.system, driven))
-    error = loss.std(ddof=1) / np.sqrt(len(loss)) if len(loss) > 1 else np.nan
-    mean, std, error, median = map(float, (loss.mean(), loss.std(), error, np.median(loss)))
-    return Losses(mean, std, [], error, median)
+    return Losses.of(np.asarray(evaluate.rollout_loss(trial.system, driven)))
 
 
 def judge_policy(
@@ -154,8 +159,8 @@ def judge_policy(
 
 def predictability(trial: Trial, driven: Trajectories) -> float:
     """The error of telling an action from the one before, over that of the expert's actions."""
-    clone, expert = (_unpredicted(trial, one) for one in (driven, trial.collected.evaluation))
-    return clone / expert if expert > 0 else float("nan")
+    expert = trial.unpredicted
+    return _unpredicted(trial, driven) / expert if expert > 0 else float("nan")
 
 
 def _unpredicted(trial: Trial, driven: Trajectories) -> float:

@@ -25,6 +25,16 @@ class Losses(NamedTuple):
     error: float = float("nan")  # standard error of the mean: over rollouts, or over seeds
     median: float = float("nan")
 
+    @classmethod
+    def of(cls, values: np.ndarray) -> "Losses":
+        """Of rollouts, or of the means of seeds, [n]; the error of one alone is not known."""
+        count = len(values)
+        with np.errstate(invalid="ignore"):
+            error = values.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan
+            numbers = values.mean(), values.std(), error, np.median(values)
+        mean, std, error, median = map(float, numbers)
+        return cls(mean, std, [], error, median)
+
 
 class Judged(NamedTuple):
     """A policy's numbers."""

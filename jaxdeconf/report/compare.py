@@ -15,7 +15,7 @@ from jaxdeconf.method import Price
 from jaxdeconf.methods import METHODS
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import to_plain
-from jaxdeconf.pipeline.results import Judged, Row
+from jaxdeconf.pipeline.results import Judged, Losses, Row
 from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
 from jaxdeconf.report.standing import Standing
@@ -164,11 +164,11 @@ def differences(found: Sequence[Standing]) -> list[str]:
         )
         difference = own - other
         better = int((difference < 0).sum())
-        error = difference.std(ddof=1) / np.sqrt(len(shared))
+        told = Losses.of(difference)
         agree = max(better, len(shared) - better) >= _MOST_AGAINST * len(shared)
-        holds = agree and abs(difference.mean()) > 2 * error
+        holds = agree and abs(told.mean) > 2 * told.error
         sentences.append(
-            f"{one.method} against {plain.method}: {words.mean(difference)}, lower on {better} of "
+            f"{one.method} against {plain.method}: {words.spread(told)}, lower on {better} of "
             f"{len(shared)} seeds; {'it holds' if holds else 'not to be told from none'}."
         )
     return sentences

@@ -64,10 +64,8 @@ def averaged(runs: Sequence[Results]) -> Results:
     policies = {}
     for name, first in runs[0].policies.items():
         losses = [run.policies[name].rollout_loss for run in runs]
-        means = np.array([one.mean for one in losses], float)
-        error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 1 else np.nan
-        mean = Losses(*_mean(means), _over_seeds(losses), float(error), float(np.median(means)))
-        policies[name] = first._replace(rollout_loss=mean)
+        mean = Losses.of(np.array([one.mean for one in losses], float))
+        policies[name] = first._replace(rollout_loss=mean._replace(per_epoch=_over_seeds(losses)))
     expert = _mean([run.expert.rollout_loss for run in runs])[0]
     return runs[0]._replace(policies=policies, expert=runs[0].expert._replace(rollout_loss=expert))
 
@@ -79,7 +77,7 @@ def _over_seeds(losses: Sequence[Losses]) -> list[list[float]]:
     return [[epoch, *_mean([curve[epoch] for curve in curves])] for epoch in epochs]
 
 
-def _mean(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
+def _mean(values: Sequence[float]) -> tuple[float, float]:
     """Mean and standard deviation; the latter is NaN where a value is not finite."""
     known = np.array(values, float)  # None, which JSON has for it, is NaN
     with np.errstate(invalid="ignore"):

@@ -51,8 +51,7 @@ def spread(losses: Losses) -> str:
 
 def mean(values: np.ndarray) -> str:
     """Mean of several seeds' numbers, and its standard error."""
-    error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
-    return spread(Losses(float(values.mean()), np.nan, [], float(error)))
+    return spread(Losses.of(values))
 
 
 def percent(share: float) -> str:

@@ -186,23 +186,19 @@ def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, 
 def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[Judged]:
     """What trained policies come to; with several processes, each lets its share drive."""
     count = jax.process_count()
-    mine = np.full((len(policies), 8), np.nan)
+    unknown = Judged(Losses(np.nan, np.nan), np.nan, np.nan, np.nan, np.nan)
+    leaves, form = jax.tree.flatten(unknown)
+    mine = np.full((len(policies), len(leaves)), np.nan)
     for i, (point, job, trained) in enumerate(policies):
         if i % count == jax.process_index() and finite(trained.state):
             policy = job.training.trained(jax.tree.map(jnp.asarray, trained.state))
             found, _ = judge.judge_policy(data_of(work, point.config).trial, policy, trained.loss)
-            loss = found.rollout_loss
-            of_loss = loss.mean, loss.std, loss.error, loss.median
-            scores = found.outcome, found.copycat, found.leakage, found.predictability
-            mine[i] = *of_loss, *scores
+            mine[i] = jax.tree.leaves(found)
     whole = multihost_utils.process_allgather(mine).reshape(-1, *mine.shape)
     judged = []
     for i, (_, _, trained) in enumerate(policies):
-        mean, std, error, median, *rest = map(float, whole[i % count, i])
-        losses = Losses(mean, std, [], error, median)
-        outcome, copied, leaked, predicted = rest
-        scores = outcome, copied, leaked, float(trained.loss), predicted
-        judged.append(Judged(losses, *scores))
+        found = jax.tree.unflatten(form, map(float, whole[i % count, i]))
+        judged.append(found._replace(train_loss=float(trained.loss)))
     return judged
 
 
