@@ -5,6 +5,7 @@ Shapes: K seeds.
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from jaxdeconf import systems
 from jaxdeconf.method import Price
-from jaxdeconf.methods import METHODS
+from jaxdeconf.methods import METHODS, usual
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.results import Judged, Losses, Row
@@ -48,8 +49,10 @@ def write(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
             body += [page.paragraph(differences(found)), *page.images(drawn)]
             said += [*([scene] if scene else []), *words.aligned(head, cells), *differences(found)]
         body += [page.heading("What they are"), _notes(rows)]
-        subject = words.subject(sweep.base.system, sweep.base.preset, sweep.base)
-        title = f"{subject}: methods side by side, {sweep.seeds} seeds"
+        # The table names the methods.
+        base = replace(sweep.base, methods=usual())
+        subject = words.subject(base.system, base.preset, base)
+        title = f"{subject}: methods side by side, {sweep.seeds} seed{'s' * (sweep.seeds > 1)}"
         page.write(directory / "report.html", title, body)
     return "\n".join([*said, f"report: {directory / 'report.html'}"])
 
