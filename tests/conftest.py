@@ -12,6 +12,10 @@ import pytest
 # As the command does: beside another process, the threads of linear algebra wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# A command called within a test's process would turn the cache of compiled programs on for all
+# later tests there, in the user's home: XLA crashed so, once as it wrote and once as it read.
+os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+
 # The smoke preset, smaller yet: that stages fit together, in less time. Small chunks, so that there
 # are edges to stop at.
 SMOKE = (
@@ -56,7 +60,8 @@ class Experiments:
     """Runs experiments as a user does, with one cache of compiled programs."""
 
     def __init__(self, cache: Path):
-        self.environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "NPROC": THREADS}
+        cached = {"XDG_CACHE_HOME": str(cache), "JAX_ENABLE_COMPILATION_CACHE": "true"}
+        self.environment = {**os.environ, **cached, "NPROC": THREADS}
 
     def __call__(self, *arguments, start=("-m", "experiments.cartpole"), **environment):
         return subprocess.run(

@@ -198,7 +198,6 @@ def failing(monkeypatch):
 
         monkeypatch.setattr("jaxdeconf.pipeline.run.collect_for", collect_for)
 
-    monkeypatch.setattr(run, "cache_compilations", lambda: None)
     return fail
 
 

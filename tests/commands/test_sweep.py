@@ -36,7 +36,6 @@ def test_a_start_that_saves_nothing_leaves_no_claim(tmp_path, capsys, monkeypatc
         raise MemoryError
 
     monkeypatch.setattr("jaxdeconf.sweep.sweep.sweep", fail)
-    monkeypatch.setattr(sweep, "cache_compilations", lambda: None)
     monkeypatch.setattr(jax.config, "update", lambda *_: None)  # JAX has its devices by now
     out = tmp_path / "sweep"
     for seeds in ("1", "2"):

@@ -335,7 +335,6 @@ def test_clones_are_compared_where_that_is_asked_for(masked, tmp_path, monkeypat
         return {"recorded": Clone(0.01, 0.25), "written": Clone(0.02, None)}
 
     monkeypatch.setattr(run, "compared", compared)
-    monkeypatch.setattr(command, "cache_compilations", lambda: None)
     words = [str(masked / "demos.npz"), "--exploration", str(masked / "more.npz"), "--clone"]
     assert command.main([*words, "--out", str(tmp_path), *SMALL]) == 0
     found = json.loads((tmp_path / "results.json").read_text())

@@ -17,7 +17,6 @@ import pytest
 from rich.console import Console
 
 from jaxdeconf import collect
-from jaxdeconf.commands import guard
 from jaxdeconf.commands.main import main
 from jaxdeconf.learn.fit import FitConfig, Training, start
 from jaxdeconf.pipeline import checkpoint, stages, store
@@ -368,13 +367,11 @@ def test_divergence_exits_with_1_and_one_line(tmp_path, capsys, monkeypatch):
         raise FloatingPointError("disentangle, step 24: loss is nan")
 
     monkeypatch.setattr(collect, "collect", diverge)
-    monkeypatch.setattr(guard, "cache_compilations", lambda: None)
     words = f"disentangle, step 24: loss is nan; the last good checkpoint is in {tmp_path / 'run'}"
     exits_with(1, words, capsys, "--preset", "smoke", "--out", tmp_path / "run")
 
 
 def test_too_little_memory_exits_with_1_and_one_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(guard, "cache_compilations", lambda: None)
     huge = ("--collect.random-trajectories", 2_000_000_000)
     arguments = ("--preset", "smoke", "--out", tmp_path / "run", *huge)
     exits_with(1, "not enough memory; make sizes smaller", capsys, *arguments)
