@@ -116,18 +116,74 @@ def copycat(system: System, policy: Policy, trajectories: Trajectories, key: Arr
 
 @partial(jax.jit, static_argnames="system")
 def _copycat(system: System, policy: Policy, trajectories: Trajectories, key: Array) -> Array:
-    last = policy.frames - 1
-
-    def actions(one: Trajectories) -> Array:
-        seen = policy.see(frames(system, one))
-        return policy.act([seen[i : len(seen) - last + i] for i in range(policy.frames)])
-
     other = redrawn(system, trajectories, key)
     # All in one loop, so that the network is compiled once.
     both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), trajectories, other)
-    before, after = jnp.split(jax.lax.map(actions, both), 2)
+    before, after = jnp.split(_answers(system, policy, both), 2)
     changes = jax.lax.map(lambda pair: jnp.abs(pair[0] - pair[1]).mean(), (before, after))
     return changes.mean()
+
+
+def copycat_slope(system: System, policy: Policy, trajectories: Trajectories) -> Array:
+    """The derivative of a policy's action with respect to the action that the nuisance shows.
+
+    It goes from the present frame's nuisance through the drawing of the frame, the view and the
+    network, at every step of trajectories [R, T] that has L frames.
+
+    Returns:
+      [] mean over steps and over components of the action, each by its own, both over the limit: 0
+      is a policy that does not look, 1 one that repeats what it is shown.
+    Raises:
+      ValueError: if the trajectories are none, or shorter than L.
+    """
+    checks.instance("policy", policy, Policy)
+    _check(system, trajectories, steps=policy.frames)
+    return _copycat_slope(system, policy, trajectories)
+
+
+@partial(jax.jit, static_argnames="system")
+def _copycat_slope(system: System, policy: Policy, trajectories: Trajectories) -> Array:
+    last = policy.frames - 1
+
+    def seen(one: Trajectories) -> Array:
+        images = jax.vmap(system.render)(one.states, one.signals)
+        return policy.view(policy.parameters, images)
+
+    def slope(one: Trajectories) -> Array:
+        before, present = _successive(seen(one), last)[:-1], jax.tree.map(lambda a: a[last:], one)
+
+        def actions(more: Array) -> Array:
+            shown = present._replace(signals=present.signals + more * system.limits)
+            return policy.decide(jnp.concatenate([*before, seen(shown)], axis=-1)).mean(axis=0)
+
+        # In reverse: our convolutions know no other way.
+        return jnp.diagonal(jax.jacrev(actions)(jnp.zeros_like(system.limits))).mean()
+
+    return jax.lax.map(slope, trajectories).mean()
+
+
+def answers(system: System, policy: Policy, trajectories: Trajectories) -> Array:
+    """[R, T - L + 1, A] what a policy would do at steps of others' trajectories, over the limit.
+
+    Raises:
+      ValueError: if the trajectories are none, or shorter than L.
+    """
+    checks.instance("policy", policy, Policy)
+    _check(system, trajectories, steps=policy.frames)
+    return _answers(system, policy, trajectories)
+
+
+@partial(jax.jit, static_argnames="system")
+def _answers(system: System, policy: Policy, trajectories: Trajectories) -> Array:
+    def actions(one: Trajectories) -> Array:
+        return policy.act(_successive(policy.see(frames(system, one)), policy.frames - 1))
+
+    return jax.lax.map(actions, trajectories)
+
+
+def _successive(seen: Array, last: int) -> list[Array]:
+    """The frames [T, H, W, 3] that come first, second, ... and last of every `last` + 1 of them."""
+    return [seen[i : len(seen) - last + i] for i in range(last + 1)]
 
 
 def _check(system: System, trajectories: Trajectories, steps: int = 1) -> None:

@@ -1,4 +1,7 @@
-"""What a policy is shown of a frame: functions of (its parameters, uint8 images) -> uint8 images.
+"""What a policy is shown of a frame: functions of (its parameters, images) -> images.
+
+Images are floats in [0, 1], so that a view has a derivative; `see` takes and gives uint8, as frames
+are stored and as cameras hand them over.
 
 Shapes: B batch, N episodes, T steps, n frames, H × W pixels, O latent.
 """
@@ -13,14 +16,13 @@ import numpy as np
 from jax import Array
 
 from jaxdeconf.demos import Demos
-from jaxdeconf.learn.clone import Demonstrations, View
+from jaxdeconf.learn.clone import Demonstrations, View, show
 from jaxdeconf.learn.fit import Variables
 from jaxdeconf.nets import vae
-from jaxdeconf.vision import raster
 
 
 def identity(_: Variables, images: Array) -> Array:
-    """Uint8 frames [B, H, W, 3] as they are."""
+    """Frames [B, H, W, 3] as they are."""
     return images
 
 
@@ -29,7 +31,7 @@ def covered(cover: Callable[[Array], Array]) -> View:
     """Frames with the nuisance covered; the same view for the same cover, so it compiles once."""
 
     def view(_: Variables, images: Array) -> Array:
-        return raster.quantize(jax.vmap(cover)(raster.dequantize(images)))
+        return jax.vmap(cover)(images)
 
     return view
 
@@ -43,11 +45,11 @@ def reconstructed(config: vae.VAEConfig) -> View:
 
     def view(parameters: Variables, images: Array) -> Array:
         variables = parameters["variables"]
-        mean, _, _ = vae.encode(config, variables, raster.dequantize(images), train=False)
+        mean, _, _ = vae.encode(config, variables, images, train=False)
         latents = jnp.where(parameters["keep"], mean, 0.0)
         _, height, width, _ = images.shape
         drawn, _ = vae.decode(config, variables, latents, (height, width), train=False)
-        return raster.quantize(drawn)
+        return drawn
 
     return view
 
@@ -69,7 +71,7 @@ def inpainted(config: vae.VAEConfig) -> View:
 @partial(jax.jit, static_argnames="view")
 def see(view: View, parameters: Any, images: Array) -> Array:
     """What a view makes of uint8 images [n, H, W, 3], a batch at a time."""
-    return jax.lax.map(lambda image: view(parameters, image[None])[0], images, batch_size=256)
+    return jax.lax.map(lambda image: show(view, parameters, image[None])[0], images, batch_size=256)
 
 
 def shown(
@@ -99,4 +101,4 @@ def shown(
 @partial(jax.jit, static_argnames="view")
 def _through(view: View, parameters: Any, images: Array) -> Array:
     """A view of uint8 images [N, T, H, W, 3], an episode at a time."""
-    return jax.lax.map(partial(view, parameters), images)
+    return jax.lax.map(partial(show, view, parameters), images)

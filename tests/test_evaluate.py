@@ -68,7 +68,7 @@ def test_a_policy_sees_the_last_frames_in_order_and_blank_ones_before(
     weights = np.array([3.0, -0.7, -1.1], np.float32)[-frames:]
 
     def upside_down(_, images):
-        return 255 - images
+        return 1.0 - images
 
     policy = Policy(upside_down, FUNCTION, frames, {}, jnp.asarray(weights))
     found = evaluate.drive(SHORT, policy, initial_states, jax.random.key(2))
@@ -159,6 +159,29 @@ def test_copycat_is_zero_for_a_covered_nuisance_and_that_of_chance_for_a_pure_co
     shown = np.asarray(driven.signals[:, 1:]) / 25.0
     # E|a - u| for u uniform on [-1, 1] is (1 + a²) / 2.
     assert score == pytest.approx(np.mean((1 + shown**2) / 2), rel=0.15)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_the_slope_of_a_copy_is_what_it_copies_with(frames, driven, monkeypatch):
+    monkeypatch.setattr(resnet, "apply", lambda *a, train: (a[1] * redness(a[2])[:, None], {}))
+    copy = Policy(identity, FUNCTION, frames, {}, -0.3)
+    assert evaluate.copycat_slope(SHORT, copy, driven) == pytest.approx(-0.3, rel=1e-5)
+    blind = Policy(covered(SYSTEM.nuisance.cover), FUNCTION, frames, {}, -0.3)
+    assert evaluate.copycat_slope(SHORT, blind, driven) == 0.0
+
+
+def test_the_slope_is_that_of_finite_differences(policy, driven):
+    """Of every step at once: the nuisance of the present frame alone shows a little more."""
+    images = jax.vmap(jax.vmap(SYSTEM.render))(driven.states, driven.signals)
+
+    def acted(more):
+        present = jax.vmap(jax.vmap(SYSTEM.render))(driven.states, driven.signals + more * 25.0)
+        both = jnp.concatenate([images[:, :-1], present[:, 1:]], axis=-1)
+        return jax.vmap(policy.decide)(both).mean()
+
+    slope = (acted(1e-2) - acted(-1e-2)) / 2e-2
+    assert abs(slope) > 1e-3
+    assert evaluate.copycat_slope(SYSTEM, policy, driven) == pytest.approx(float(slope), rel=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.method import Evidence
 from jaxdeconf.methods import METHODS
 from jaxdeconf.nets.vae import VAEConfig
+from jaxdeconf.vision import raster
 
 SYSTEM = systems.get("cartpole")
 CONFIG = VAEConfig(channels=(2,), latents=3, norm="none")
@@ -39,6 +40,7 @@ def test_reconstructions_keep_the_active_latents_but_the_masked(name, keep, evid
 
 
 def test_the_papers_other_methods_show_the_frames_and_the_covered_frames(evidence, grains):
+    grains = raster.dequantize(grains)
     view, parameters = METHODS["BcVanilla"].view(Evidence())
     np.testing.assert_array_equal(view(parameters, grains), grains)
     view, parameters = METHODS["BcManual"].view(evidence)

@@ -25,7 +25,7 @@ def test_identity(grains):
 
 
 def test_the_cover_hides_the_nuisance_and_nothing_else(grains):
-    seen = np.asarray(jax.jit(views.covered(SYSTEM.nuisance.cover))({}, grains))
+    seen = np.asarray(views.see(views.covered(SYSTEM.nuisance.cover), {}, grains))
     assert (seen[:, :15, :15] == 255).all()
     changed = (seen != np.asarray(grains)).any(axis=(0, 3))
     assert not changed[16:].any()
@@ -45,7 +45,7 @@ def _reconstruction(variables, grains, keep):
 
 
 def test_a_masked_reconstruction_does_not_depend_on_a_masked_latent(grains, variables):
-    view = jax.jit(views.reconstructed(CONFIG))
+    view = partial(views.see, views.reconstructed(CONFIG))
     seen = view({"variables": variables, "keep": jnp.array([True, False, True])}, grains)
     expected = reconstruction(variables, grains, [True, False, True])
     assert seen.dtype == jnp.uint8
@@ -61,6 +61,12 @@ def test_only_a_region_is_reconstructed(grains, variables):
     drawn = views.see(views.reconstructed(CONFIG), parameters, grains)
     seen = views.see(views.inpainted(CONFIG), {**parameters, "region": region}, grains)
     np.testing.assert_array_equal(seen, np.where(region[..., None], drawn, grains))
+
+
+def test_a_view_that_makes_bytes_is_refused(grains):
+    """What an earlier version's views made."""
+    with pytest.raises(ValueError, match=r"^view: expected floats of shape .*, got uint8 of shape"):
+        views.see(lambda _, images: (255 * images).astype(jnp.uint8), {}, grains)
 
 
 def test_the_same_view_is_the_same_static_argument():

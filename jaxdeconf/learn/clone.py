@@ -18,7 +18,7 @@ from jaxdeconf.nets import resnet
 from jaxdeconf.traced import Traced, traceable
 from jaxdeconf.vision import raster
 
-# (its parameters, images uint8 [B, H, W, 3]) -> what the network is shown, uint8 [B, H, W, 3]
+# (its parameters, images [B, H, W, 3] in [0, 1]) -> what the network is shown, of the same kind
 View = Callable[[Any, Array], Array]
 
 
@@ -88,12 +88,27 @@ class Policy:
     variables: Variables  # of the network
 
     def see(self, images: Array) -> Array:
-        """What the view makes of uint8 images [B, H, W, 3]."""
-        return self.view(self.parameters, images)
+        """What the view makes of uint8 images [B, H, W, 3], uint8."""
+        return show(self.view, self.parameters, images)
 
     def act(self, seen: Sequence[Array]) -> Array:
         """Actions [B, A] over the limit, for L batches of seen frames, the present one last."""
-        return resnet.apply(self.network, self.variables, stack(seen), train=False)[0]
+        return self.decide(stack(seen))
+
+    def decide(self, images: Array) -> Array:
+        """Actions [B, A] over the limit, for the network's input [B, H, W, 3 L] in [0, 1]."""
+        return resnet.apply(self.network, self.variables, images, train=False)[0]
+
+
+def show(view: View, parameters: Any, images: Array) -> Array:
+    """What a view makes of uint8 images [B, H, W, 3], as they would be stored: uint8.
+
+    Raises:
+      ValueError: if the view makes something else of them than images.
+    """
+    seen = view(parameters, raster.dequantize(images))
+    checks.array("view", seen, "[B, H, W, 3]", (len(images), None, None, 3), of="floats")
+    return raster.quantize(seen)
 
 
 def stack(frames: Sequence[Array]) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 
 from jaxdeconf import checks
+from jaxdeconf.learn.clone import show
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.nets import vae
 from jaxdeconf.owndata.dataset import fitted, unfitted
@@ -75,7 +76,7 @@ class View:
 
 @partial(jax.jit, static_argnames="view")
 def _draw(view: Any, parameters: Any, images: Array) -> Array:
-    return view(parameters, images)
+    return show(view, parameters, images)
 
 
 def make_view(encoder: Encoder, mask: Any, region: Any) -> View:

@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 
 from jaxdeconf import evaluate, leakage
 from jaxdeconf.collect import Collected, Exploration, exploration
+from jaxdeconf.independence.hscic import hscic
 from jaxdeconf.keys import named
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.clone import Policy, View
@@ -34,6 +35,8 @@ from jaxdeconf.views import covered, identity, reconstructed, see
 
 # Frames that train, and that test, the regression of leakage: its time is cubic in them.
 _JUDGE_FRAMES = 1500
+_MOST_SAMPLES = 1024  # its time is cubic, too; the authors' batch
+_SLOPE_ROLLOUTS = 25  # each step costs as much as one of training
 _TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
 _STRIP = 10  # frames
 
@@ -153,6 +156,8 @@ def judge_policy(
         leakage=float(leaked(trial, policy.view, policy.parameters)),
         train_loss=train_loss,
         predictability=predictability(trial, driven),
+        copycat_slope=copycat_slope(trial, policy),
+        past_leakage=past_leakage(trial, policy),
     )
     return judged, driven
 
@@ -161,6 +166,27 @@ def predictability(trial: Trial, driven: Trajectories) -> float:
     """The error of telling an action from the one before, over that of the expert's actions."""
     expert = trial.unpredicted
     return _unpredicted(trial, driven) / expert if expert > 0 else float("nan")
+
+
+def copycat_slope(trial: Trial, policy: Policy) -> float:
+    """On some of the expert's rollouts."""
+    some = jax.tree.map(lambda a: a[:_SLOPE_ROLLOUTS], trial.collected.evaluation)
+    return float(evaluate.copycat_slope(trial.system, policy, some))
+
+
+def past_leakage(trial: Trial, policy: Policy) -> float:
+    """HSCIC of a policy's action and the expert's one before, given the expert's action.
+
+    On the expert's rollouts, but for the first steps, before which nobody acted.
+    """
+    expert, first = trial.collected.evaluation, max(1, policy.frames - 1)
+    answered = evaluate.answers(trial.system, policy, expert)[:, first - (policy.frames - 1) :]
+    stride = -(-answered.shape[0] * answered.shape[1] // _MOST_SAMPLES)
+    own, previous, acted = (
+        values.reshape(-1, values.shape[-1])[::stride]
+        for values in (answered, expert.previous_actions[:, first:], expert.actions[:, first:])
+    )
+    return float(hscic(own, previous, acted))
 
 
 def _unpredicted(trial: Trial, driven: Trajectories) -> float:

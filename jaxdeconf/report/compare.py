@@ -16,7 +16,7 @@ from jaxdeconf.method import Price
 from jaxdeconf.methods import METHODS, usual
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import to_plain
-from jaxdeconf.pipeline.results import Judged, Losses, Row
+from jaxdeconf.pipeline.results import Judged, Losses, OutcomeForm, Row
 from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
 from jaxdeconf.report.standing import Standing
@@ -83,6 +83,8 @@ def records(sweep: Sweep, rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
                 "outcome": judged.outcome,
                 "train_loss": judged.train_loss,
                 "copycat": judged.copycat,
+                "copycat_slope": judged.copycat_slope,
+                "past_leakage": judged.past_leakage,
                 "predictability": judged.predictability,
                 "leakage": judged.leakage,
                 "minutes": row.seconds[name] / 60.0,
@@ -122,8 +124,10 @@ def standings(rows: Sequence[Row]) -> list[Standing]:
 
 def table(found: Sequence[Standing], config: Config) -> tuple[list[str], list[list[str]], str]:
     """Head, cells and note."""
-    head = ["", "kind", "seeds", "rollout loss", f"/ {EXPERT}", "median", "outcome", "train loss"]
-    head += ["copycat", "predictability", "leakage R²", "minutes", "labels", "episodes"]
+    came = _outcome(config.system)
+    head = ["", "kind", "seeds", "rollout loss", f"/ {EXPERT}", "median", came.name, "train loss"]
+    head += ["copycat", "slope", "predictability", "HSCIC", "leakage R²"]
+    head += ["minutes", "labels", "episodes"]
     cells = []
     for one in found:
         medians = np.array([judged.rollout_loss.median for judged in one.judged])
@@ -135,22 +139,35 @@ def table(found: Sequence[Standing], config: Config) -> tuple[list[str], list[li
                 words.mean(one.losses),
                 words.number(float((one.losses / one.experts).mean())),
                 words.loss(float(medians.mean())),
-                words.number(one.mean("outcome")),
+                words.formed(one.mean("outcome"), came.form),
                 words.loss(one.mean("train_loss")),
                 words.fixed(one.mean("copycat"), 3),
+                words.fixed(one.mean("copycat_slope"), 2),
                 words.number(one.mean("predictability")),
+                words.fixed(one.mean("past_leakage"), 4),
                 words.fixed(one.mean("leakage"), 3),
                 words.fixed(float(one.seconds.mean()) / 60.0, 1),
                 *(f"{count:,}" if count else "–" for count in asked(one.method, config)),
             ]
         )
     note = (
-        "Mean stage cost a step, ± standard error over seeds; median over rollouts. Copycat: mean "
-        "change of the action over its limit when only the nuisance is redrawn. Predictability: "
+        "Mean stage cost a step, ± standard error over seeds; median over rollouts. "
+        f"{came.note} Copycat: mean "
+        "change of the action over its limit when only the nuisance is redrawn; slope: mean "
+        "derivative of the action with respect to the one that the nuisance shows. Predictability: "
         "error of telling an action from the one before, over the expert's; below 1 is a copycat. "
+        "HSCIC: how much, where the expert drives, the policy's action depends on the expert's one "
+        "before, given the expert's action. "
         "Labels: the expert's, asked for beside the demonstrations; episodes: driven for it."
     )
     return head, cells, note
+
+
+def _outcome(system: str) -> OutcomeForm:
+    """How the outcome of a system is shown; of one that is not known here, plainly."""
+    if system not in systems.names():
+        return OutcomeForm("outcome", ".3g", "")
+    return OutcomeForm(*systems.get(system).outcome[:3])
 
 
 def differences(found: Sequence[Standing]) -> list[str]:

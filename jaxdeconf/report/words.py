@@ -66,8 +66,12 @@ def share(value: float) -> str:
 
 def outcome(results: Results, judged: Judged | JudgedExpert) -> str:
     """What the rollouts of a policy, or of the expert, came to, in its system's own form."""
-    value = judged.outcome
-    return format(value, results.outcome.form) if math.isfinite(value) else number(value)
+    return formed(judged.outcome, results.outcome.form)
+
+
+def formed(value: float, form: str) -> str:
+    """A number by a format specification, if there is one to show."""
+    return format(value, form) if math.isfinite(value) else number(value)
 
 
 def statistic(results: Results) -> tuple[str, str]:

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from jax import Array
 
+from jaxdeconf.independence.hscic import hscic
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations
 from jaxdeconf.learn.fit import Loss, Variables
-from jaxdeconf.rivals.hscic import hscic
 
 LEAST_BATCH = 128  # samples a step, of which HSCIC tells anything; the authors' is 1024
 

@@ -76,7 +76,7 @@ def test_a_policy_learns_what_the_frame_shows():
     policy = training.trained(state)
     assert isinstance(policy, Policy)
     assert (policy.network, policy.frames, policy.parameters) == (NETWORK, 2, view)
-    assert policy.see(data.frames) is data.frames
+    np.testing.assert_array_equal(policy.see(data.frames), data.frames)
     acted = policy.act([data.frames[:7], data.frames[1:8]])
     expected, _ = resnet.apply(
         NETWORK, state.variables, clone.stacked(CONFIG, data, jnp.arange(1, 8)), train=False

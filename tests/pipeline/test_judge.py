@@ -2,17 +2,25 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxdeconf import systems
 from jaxdeconf.collect import Collected
+from jaxdeconf.independence.hscic import hscic
+from jaxdeconf.learn.clone import Policy
 from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.nets import resnet
+from jaxdeconf.nets.resnet import ResNetConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.pipeline import judge
 from jaxdeconf.systems import Trajectories
+from jaxdeconf.systems.rollout import random_trajectories
+from jaxdeconf.views import identity
 
 
 def test_the_experts_faults_are_counted():
@@ -48,6 +56,25 @@ def test_precision_and_recall_of_a_mask(mask, precision, recall):
     encoder = Encoder(VAEConfig(), {}, jnp.zeros(4), active)
     found = judge.precision_recall(jnp.array(mask, bool), encoder, share)
     assert found == (precision, recall)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_what_is_left_of_the_past_is_hscic_at_the_same_steps(frames, monkeypatch):
+    """A policy that answers with the action before, which the nuisance of a frame shows."""
+    system = replace(systems.get("cartpole"), size=(16, 16), steps=9)
+    trajectories = random_trajectories(system, jax.random.key(0), 40)
+    expert = trajectories._replace(actions=trajectories.actions - trajectories.previous_actions)
+    monkeypatch.setattr(
+        resnet, "apply", lambda *a, train: (2.0 * a[2][:, 1, 1, -3:-2].astype(jnp.float32) - 1, {})
+    )
+    copy = Policy(identity, ResNetConfig(width=17), frames, {}, {})
+    collected = Collected(*[expert] * 4, jnp.zeros(40, int))
+    trial = judge.Trial(system, jax.random.key(1), collected, None)
+    first = max(1, frames - 1)
+    before, acted = (v[:, first:].reshape(-1, 1) for v in (expert.previous_actions, expert.actions))
+    want = float(hscic(before, before, acted))
+    assert judge.past_leakage(trial, copy) == pytest.approx(want, rel=1e-2)
+    assert want > 1e-3
 
 
 def test_peak_memory_is_the_processs_own():

@@ -64,6 +64,7 @@ def test_fair_methods_come_first_and_the_best_of_a_kind(written):
     assert masked["rollout loss"] == f"13.0 ± {error:.2f}"
     assert masked["/ Expert"] == "6.50"
     assert masked["minutes"] == "1.5"
+    assert masked["survival"] == "50%"
     assert masked["labels"] == masked["episodes"] == "–"
     # Smoke: 64 trajectories, of which two rounds relabel a quarter, of 40 steps.
     dagger = dict(zip(head, cells[3], strict=True))

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxdeconf.independence.hscic import hscic
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.nets import resnet
 from jaxdeconf.rivals import palr
-from jaxdeconf.rivals.hscic import hscic
 from jaxdeconf.views import identity, shown
 from tests.rivals import toy
 

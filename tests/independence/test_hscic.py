@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf.rivals.hscic import RIDGE, hscic
+from jaxdeconf.independence.hscic import RIDGE, hscic
 
 N = 150
 
