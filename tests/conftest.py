@@ -16,6 +16,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # later tests there, in the user's home: XLA crashed so, once as it wrote and once as it read.
 os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
 
+# Compiling is most of the time of a test, so it takes LLVM's shortest way. Whole programs are
+# compiled as for users: see `Experiments`.
+os.environ["XLA_FLAGS"] = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+
 # The smoke preset, smaller yet: that stages fit together, in less time. Small chunks, so that there
 # are edges to stop at.
 SMOKE = (
@@ -62,6 +66,7 @@ class Experiments:
     def __init__(self, cache: Path):
         cached = {"XDG_CACHE_HOME": str(cache), "JAX_ENABLE_COMPILATION_CACHE": "true"}
         self.environment = {**os.environ, **cached, "NPROC": THREADS}
+        del self.environment["XLA_FLAGS"]
 
     def __call__(self, *arguments, start=("-m", "experiments.cartpole"), **environment):
         return subprocess.run(

@@ -12,7 +12,7 @@ from jaxdeconf.pipeline.theory import Theory, TheoryConfig
 from jaxdeconf.report.theory import CLAIMS, summary
 
 SMALL = (
-    *("--claims.trajectories", "40", "60", "--claims.systems", "30"),
+    *("--claims.trajectories", "60", "--claims.systems", "30"),
     *("--claims.broken-systems", "20", "--claims.null-systems", "20", "--no-on-pixels"),
 )
 
@@ -32,7 +32,7 @@ def test_the_results_hold_each_claim_s_rates_and_counts(done):
             assert row["n"] == 0 or row["rate"] == row["events"] / row["n"]
             low, high = row["interval"]
             assert 0 <= low <= high <= 1
-    assert held["config"]["claims"]["trajectories"] == [40, 60]
+    assert held["config"]["claims"]["trajectories"] == [60]
 
 
 def test_they_come_back_as_they_were(done):
