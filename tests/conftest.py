@@ -64,9 +64,9 @@ class Experiments:
     """Runs experiments as a user does, with one cache of compiled programs."""
 
     def __init__(self, cache: Path):
-        cached = {"XDG_CACHE_HOME": str(cache), "JAX_ENABLE_COMPILATION_CACHE": "true"}
-        self.environment = {**os.environ, **cached, "NPROC": THREADS}
-        del self.environment["XLA_FLAGS"]
+        as_users = {"JAX_ENABLE_COMPILATION_CACHE": "true", "XLA_FLAGS": ""}
+        of_ours = {"XDG_CACHE_HOME": str(cache), "NPROC": THREADS}
+        self.environment = {**os.environ, **as_users, **of_ours}
 
     def __call__(self, *arguments, start=("-m", "experiments.cartpole"), **environment):
         return subprocess.run(

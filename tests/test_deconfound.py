@@ -208,7 +208,7 @@ def shown_by_loops(demos, steps):
 
 
 def upside_down(_, images):
-    return 255 - images
+    return 1.0 - images
 
 
 @pytest.mark.parametrize("steps", [None, 3])

@@ -45,7 +45,7 @@ def test_rows_of_all_shards_are_read_by_point(tmp_path):
 
 
 def test_a_row_is_read_as_it_was_written_but_what_is_not_finite_is_nan(tmp_path):
-    judged = Judged(Losses(math.inf, math.nan), 0.5, 0.1, 0.2, 0.3, 0.7)
+    judged = Judged(Losses(math.inf, math.nan), 0.5, 0.1, 0.2, 0.3, 0.7, 0.4, 0.01)
     expert = JudgedExpert(1.0, 1.0, 0.0, 0.0)
     mask = np.array([True, False])
     whole = Row(

@@ -1,7 +1,9 @@
 """Sweeps from the command line: on two devices, in two processes, as jobs, cut short."""
 
+import copy
 import json
 import multiprocessing
+import os
 import shutil
 import signal
 import socket
@@ -59,6 +61,14 @@ def begun(swept, out, **changes):
     plan = json.loads((swept[0] / "sweep.json").read_text())
     (out / "sweep.json").write_text(json.dumps(plan | changes))
     return out
+
+
+@pytest.fixture(scope="module")
+def experiment(experiment):
+    """Compiled the short way: sweeps are compared with one another, and compile the most."""
+    quick = copy.copy(experiment)
+    quick.environment = experiment.environment | {"XLA_FLAGS": os.environ["XLA_FLAGS"]}
+    return quick
 
 
 @pytest.fixture(scope="module")
