@@ -13,6 +13,13 @@ ROWS: dict[str, Method] = {
         strength=10.0,  # the authors' α
         config=palr.in_larger_batches,
     ),
+    "PalrPlain": Method(
+        as_they_are,
+        "The frames as they are, in Palr's batches.",
+        kind="control",
+        rival=True,
+        config=palr.in_larger_batches,
+    ),
     "Fca": Method(
         as_they_are,
         "Features from which an adversary cannot tell the previous action.",

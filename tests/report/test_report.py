@@ -323,7 +323,15 @@ def test_colours_go_by_the_place_in_the_table_and_differ(monkeypatch):
     looks = canvas.looks([*METHODS, "Gone", "Gone too"])
     assert {name: looks[name].color for name in before} == before
     assert len({(look.color, look.marker) for look in looks.values()}) == len(looks)
-    controls = ["Reconstructed", "OreoPlain", "OneFrame", "Cutout", "Dropout", "Longer"]
+    controls = [
+        "Reconstructed",
+        "PalrPlain",
+        "OreoPlain",
+        "OneFrame",
+        "Cutout",
+        "Dropout",
+        "Longer",
+    ]
     assert [name for name, look in looks.items() if look.thin] == controls
     assert canvas.looks(["Masked"])["Masked"] == looks["Masked"]
 
