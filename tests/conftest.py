@@ -119,6 +119,17 @@ def grains():
     return jnp.asarray(np.random.default_rng(0).integers(0, 255, (5, 64, 64, 3), np.uint8))
 
 
+@pytest.fixture(scope="module", autouse=True)
+def forget_programs():
+    """A process ends without a word at 65,530 memory maps, and XLA keeps three or more a program.
+
+    Two processes with half of all tests each came to more than 50,000.
+    """
+    yield
+    if jax := sys.modules.get("jax"):
+        jax.clear_caches()
+
+
 @pytest.fixture
 def numbers():
     """What a run's results.json holds, but for times and memory."""
