@@ -156,8 +156,6 @@ def judge_policy(
         leakage=float(leaked(trial, policy.view, policy.parameters)),
         train_loss=train_loss,
         predictability=predictability(trial, driven),
-        copycat_slope=copycat_slope(trial, policy),
-        past_leakage=past_leakage(trial, policy),
     )
     return judged, driven
 
@@ -166,6 +164,13 @@ def predictability(trial: Trial, driven: Trajectories) -> float:
     """The error of telling an action from the one before, over that of the expert's actions."""
     expert = trial.unpredicted
     return _unpredicted(trial, driven) / expert if expert > 0 else float("nan")
+
+
+def compared(trial: Trial, policy: Policy, judged: Judged) -> Judged:
+    """With what only comparisons show: it takes programs of its own, a good while to compile."""
+    return judged._replace(
+        copycat_slope=copycat_slope(trial, policy), past_leakage=past_leakage(trial, policy)
+    )
 
 
 def copycat_slope(trial: Trial, policy: Policy) -> float:

@@ -47,10 +47,11 @@ class Judged(NamedTuple):
     # Error of telling an action from the one before, on its rollouts over that on the expert's:
     # below 1 is a copycat (Wen et al. 2020).
     predictability: float = float("nan")
-    # Mean derivative of the action with respect to the action that the nuisance shows.
+    # Two of sweeps and comparisons alone. The mean derivative of the action with respect to the one
+    # that the nuisance shows:
     copycat_slope: float = float("nan")
-    # HSCIC, on the expert's rollouts, of its action and the expert's one before, given the expert's
-    # own action (Seo et al. 2023): 0 is none of the one before left.
+    # And HSCIC, on the expert's rollouts, of its action and the expert's one before, given the
+    # expert's own action (Seo et al. 2023): 0 is none of the one before left.
     past_leakage: float = float("nan")
 
 

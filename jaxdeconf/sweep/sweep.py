@@ -192,8 +192,9 @@ def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[J
     for i, (point, job, trained) in enumerate(policies):
         if i % count == jax.process_index() and finite(trained.state):
             policy = job.training.trained(jax.tree.map(jnp.asarray, trained.state))
-            found, _ = judge.judge_policy(data_of(work, point.config).trial, policy, trained.loss)
-            mine[i] = jax.tree.leaves(found)
+            trial = data_of(work, point.config).trial
+            found, _ = judge.judge_policy(trial, policy, trained.loss)
+            mine[i] = jax.tree.leaves(judge.compared(trial, policy, found))
     whole = multihost_utils.process_allgather(mine).reshape(-1, *mine.shape)
     judged = []
     for i, (_, _, trained) in enumerate(policies):
