@@ -18,6 +18,10 @@ from jaxdeconf.systems.rollout import Trajectories, frames, redrawn, rollout
 from jaxdeconf.systems.system import System
 from jaxdeconf.traced import traceable
 
+# Rollouts that one program drives: judging while a policy is trained then shares it with judging at
+# the end. More at once are no faster on a CPU.
+_AT_ONCE = 25
+
 
 @traceable
 @dataclass(frozen=True)
@@ -59,11 +63,14 @@ def drive(system: System, policy: Policy, initial_states: Array, key: Array) -> 
     size = len(system.state_names)
     checks.array("initial_states", initial_states, f"[R, {size}]", (None, size), finite=True)
     checks.key("key", key)
-    return _drive(system, policy, initial_states, key)
+    keys = jax.random.split(key, len(initial_states))
+    parts = [slice(i, i + _AT_ONCE) for i in range(0, max(1, len(keys)), _AT_ONCE)]
+    driven = [_drive(system, policy, initial_states[part], keys[part]) for part in parts]
+    return jax.tree.map(lambda *trees: jnp.concatenate(trees), *driven)
 
 
 @partial(jax.jit, static_argnames="system")
-def _drive(system: System, policy: Policy, initial_states: Array, key: Array) -> Trajectories:
+def _drive(system: System, policy: Policy, initial_states: Array, keys: Array) -> Trajectories:
     def act(memory: list[Array], state: Array, signal: Array, _: Array):
         seen = [*memory, policy.see(system.frame(state, signal)[None])]
         return seen[1:], policy.act(seen)[0] * system.limits
@@ -72,7 +79,7 @@ def _drive(system: System, policy: Policy, initial_states: Array, key: Array) ->
         before = blank(system.frame(state, jnp.zeros_like(system.limits))[None])
         return rollout(system, act, [before] * (policy.frames - 1), state, key)
 
-    return jax.vmap(one)(initial_states, jax.random.split(key, len(initial_states)))
+    return jax.vmap(one)(initial_states, keys)
 
 
 def rollout_loss(system: System, trajectories: Trajectories) -> Array:
@@ -108,8 +115,7 @@ def copycat(system: System, policy: Policy, trajectories: Trajectories, key: Arr
     Raises:
       ValueError: if the trajectories are none, or shorter than L.
     """
-    checks.instance("policy", policy, Policy)
-    _check(system, trajectories, steps=policy.frames)
+    _check(system, trajectories, policy)
     checks.key("key", key)
     return _copycat(system, policy, trajectories, key)
 
@@ -136,8 +142,7 @@ def copycat_slope(system: System, policy: Policy, trajectories: Trajectories) ->
     Raises:
       ValueError: if the trajectories are none, or shorter than L.
     """
-    checks.instance("policy", policy, Policy)
-    _check(system, trajectories, steps=policy.frames)
+    _check(system, trajectories, policy)
     return _copycat_slope(system, policy, trajectories)
 
 
@@ -168,8 +173,7 @@ def answers(system: System, policy: Policy, trajectories: Trajectories) -> Array
     Raises:
       ValueError: if the trajectories are none, or shorter than L.
     """
-    checks.instance("policy", policy, Policy)
-    _check(system, trajectories, steps=policy.frames)
+    _check(system, trajectories, policy)
     return _answers(system, policy, trajectories)
 
 
@@ -186,9 +190,13 @@ def _successive(seen: Array, last: int) -> list[Array]:
     return [seen[i : len(seen) - last + i] for i in range(last + 1)]
 
 
-def _check(system: System, trajectories: Trajectories, steps: int = 1) -> None:
+def _check(system: System, trajectories: Trajectories, policy: Policy | None = None) -> None:
     checks.instance("system", system, System)
     checks.instance("trajectories", trajectories, Trajectories)
+    steps = 1
+    if policy is not None:
+        checks.instance("policy", policy, Policy)
+        steps = policy.frames
     valid = checks.array("valid", trajectories.valid, "[R, T]", (None, None), of="bool")
     if valid.shape[1] < steps:
         raise ValueError(f"trajectories: expected at least {steps} steps, got {valid.shape[1]}")

@@ -91,6 +91,19 @@ def test_the_initial_states_and_the_nuisance_there_are_shared(initial_states, dr
     np.testing.assert_array_equal(driven.signals[:, 0], second.signals[:, 0])
 
 
+def test_rollouts_of_many_programs_are_those_of_one(policy):
+    states = 0.1 * jax.random.normal(jax.random.key(4), (27, 4))
+    many, fewer = (
+        evaluate.drive(SHORT, policy, some, jax.random.key(2)) for some in (states, states[:25])
+    )
+    for found, first in zip(many, fewer, strict=True):
+        assert len(found) == 27
+        np.testing.assert_array_equal(found[:25], first)
+    keys = jax.random.split(jax.random.key(2), 27)
+    at_once = evaluate._drive(SHORT, policy, states, keys)
+    np.testing.assert_allclose(many.states, at_once.states, atol=1e-4)
+
+
 def test_rollout_loss_charges_the_cost_of_the_exit_for_the_rest(driven):
     losses, ended = evaluate.rollout_loss(SYSTEM, driven), 0
     for r in range(3):

@@ -35,7 +35,7 @@ from jaxdeconf.views import covered, identity, reconstructed, see
 
 # Frames that train, and that test, the regression of leakage: its time is cubic in them.
 _JUDGE_FRAMES = 1500
-_MOST_SAMPLES = 1024  # its time is cubic, too; the authors' batch
+_HSCIC_SAMPLES = 1024  # its time is cubic, too; the authors' batch
 _SLOPE_ROLLOUTS = 25  # each step costs as much as one of training
 _TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
 _STRIP = 10  # frames
@@ -186,7 +186,7 @@ def past_leakage(trial: Trial, policy: Policy) -> float:
     """
     expert, first = trial.collected.evaluation, max(1, policy.frames - 1)
     answered = evaluate.answers(trial.system, policy, expert)[:, first - (policy.frames - 1) :]
-    stride = -(-answered.shape[0] * answered.shape[1] // _MOST_SAMPLES)
+    stride = -(-answered.shape[0] * answered.shape[1] // _HSCIC_SAMPLES)
     own, previous, acted = (
         values.reshape(-1, values.shape[-1])[::stride]
         for values in (answered, expert.previous_actions[:, first:], expert.actions[:, first:])

@@ -1,7 +1,8 @@
 """One run from a config to its results: collect, disentangle, mask, clone, evaluate."""
 
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from jaxdeconf import collect, systems
 from jaxdeconf.collect import Collected
 from jaxdeconf.deconfound import clone_policy, learn_latents, mask_latents
 from jaxdeconf.demos import Demos
+from jaxdeconf.learn.clone import Policy
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import FitState, Training
 from jaxdeconf.mask import Mask
@@ -30,7 +32,7 @@ from jaxdeconf.pipeline.stages import Run
 from jaxdeconf.pipeline.store import Store, writing
 from jaxdeconf.region import find_region
 from jaxdeconf.rivals.simulator import Simulator
-from jaxdeconf.systems import System
+from jaxdeconf.systems import System, Trajectories
 
 
 def run(
@@ -87,20 +89,38 @@ def run(
         for name in config.methods
     }
     # After the last one is trained: what is resumed before then need not judge the first again.
-    begin, judged, driven = time.perf_counter(), {}, {}
-    for name, policy in policies.items():
-        with this.reporter.bar(f"judge {name}", 1) as bar:
-            history = this.history[f"clone {name}"]
-            curve = [[epoch, *losses] for epoch, _, *losses in history]
-            judged[name], driven[name] = judge.judge_policy(trial, policy, history[-1][1], curve)
-            bar.update(1, f"rollout loss {judged[name].rollout_loss.mean:.3g}")
-        this.interruption.check()
+    begin = time.perf_counter()
+    judged, driven = _judge(this, trial, policies)
     found = _results(this, trial, encoder, mask, region, judged)
     pictures = judge.pictures(trial, encoder, region, policies, driven)
     found.seconds["judge"] = time.perf_counter() - begin
     with writing(directory):
         save(directory, found, pictures)
     return found
+
+
+def _judge(
+    this: Run, trial: Trial, policies: Mapping[str, Policy]
+) -> tuple[dict[str, Judged], dict[str, Trajectories]]:
+    """The numbers and the last rollouts of all policies."""
+
+    def one(name: str) -> tuple[Judged, Trajectories]:
+        this.interruption.check()
+        history = this.history[f"clone {name}"]
+        curve = [[epoch, *losses] for epoch, _, *losses in history]
+        return judge.judge_policy(trial, policies[name], history[-1][1], curve)
+
+    judged, driven = {}, {}
+    # At first it is mostly compiling, of which one takes little more than one core.
+    with (
+        this.reporter.bar("judge", len(policies)) as bar,
+        ThreadPoolExecutor(machine.cores()) as pool,
+    ):
+        for name, (found, rolled) in zip(policies, pool.map(one, policies), strict=True):
+            judged[name], driven[name] = found, rolled
+            bar.update(1, f"{name}: rollout loss {found.rollout_loss.mean:.3g}")
+    this.interruption.check()
+    return judged, driven
 
 
 def deconfounded(this: Run, trial: Trial) -> tuple[Encoder, Mask]:

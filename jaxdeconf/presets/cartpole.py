@@ -38,7 +38,7 @@ PRESETS = {
             huber=0.1,
             network=ResNetConfig(width=4, stem="imagenet"),
         ),
-        evaluate=EvaluateConfig(rollouts=8, training_rollouts=4, every=0.25),
+        evaluate=EvaluateConfig(rollouts=8, training_rollouts=8, every=0.25),
     ),
     # What differs from the paper is ours, for time. The β-VAE has a linear start: from random
     # weights a CPU's budget never reaches the nuisance. Networks are narrow, and the policy's stem

@@ -61,7 +61,7 @@ PRESETS = {
             trajectory_steps=40,
             network=ResNetConfig(width=4, stem="imagenet", hidden=(16,), **_PLACES),
         ),
-        evaluate=EvaluateConfig(rollouts=8, training_rollouts=4, every=0.25),
+        evaluate=EvaluateConfig(rollouts=8, training_rollouts=8, every=0.25),
     ),
     # Two cores, no GPU. The expert is at rest on its target in the steps that are left out.
     "laptop": Config(

@@ -63,7 +63,7 @@ def test_the_number_of_devices_changes_nothing(done, experiment, tmp_path):
     (copy / "results.json").unlink()
     # It need not judge: of the policies that stay, it asks whether they are made from the same.
     four = experiment(
-        *("SIGKILL", "judge BcVanilla", "0", "--resume", copy),
+        *("SIGKILL", "judge", "0", "--resume", copy),
         start=("-m", "tests.pipeline.killed"),
         XLA_FLAGS="--xla_force_host_platform_device_count=4",
     )
