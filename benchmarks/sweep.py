@@ -23,9 +23,9 @@ from jaxdeconf import mask, systems
 from jaxdeconf.commands.guard import cache_compilations
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.fit import FitState, Training
-from jaxdeconf.pipeline.machine import cores
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.sweep import batch, plan
+from jaxdeconf.threads import cores
 from jaxdeconf.views import identity
 
 BASE = PRESETS["cartpole"]["laptop"]

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 # A room may import rooms of a lower floor; rooms on one floor do not know each other. What is not
 # named here lies on the floor of learning: learn, mask, leakage.
 FLOORS = {
-    **dict.fromkeys(["checks", "keys", "traced", "version"], 0),
+    **dict.fromkeys(["checks", "keys", "threads", "traced", "version"], 0),
     **dict.fromkeys(["vision", "independence", "nets", "demos"], 1),
     "systems": 2,
     "expert": 3,

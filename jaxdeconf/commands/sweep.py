@@ -17,11 +17,10 @@ from typing import Any, TypeVar
 import jax
 from jax.experimental import multihost_utils
 
-from jaxdeconf import checks, systems
+from jaxdeconf import checks, systems, threads
 from jaxdeconf.commands.guard import cache_compilations, complain, guarded
 from jaxdeconf.commands.parse import Flags, Where, choose, first, parse, parse_value
 from jaxdeconf.methods import masking
-from jaxdeconf.pipeline import machine
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.owner import owned
@@ -173,7 +172,7 @@ def _devices(asked: Arguments) -> None:
     several = asked.coordinator is not None
     if not several and (asked.process_id is not None or asked.num_processes is not None):
         raise ValueError("--coordinator: expected HOST:PORT beside --process-id, got none")
-    count = asked.devices or (1 if several else machine.cores())
+    count = asked.devices or (1 if several else threads.cores())
     jax.config.update("jax_num_cpu_devices", count)
     if asked.coordinator == "auto":
         jax.distributed.initialize()

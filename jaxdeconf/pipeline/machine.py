@@ -10,19 +10,23 @@ import jax
 from jaxdeconf.version import __version__
 
 
-def cores() -> int:
-    """Processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def free_memory() -> float:
     """Bytes that nobody uses; 4 GB where the system does not say."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES"))
     except (AttributeError, ValueError, OSError):  # no such name on macOS, no sysconf on Windows
         return 4e9
+
+
+def forget_programs(most: int = 30_000) -> None:
+    """Forgets compiled programs where this process has more memory maps than `most`.
+
+    XLA keeps three maps for each object file of a program on a CPU, and Linux ends a process, in
+    the middle of whatever it does, at 65,530 (vm.max_map_count).
+    """
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > most:
+        jax.clear_caches()
 
 
 def peak_memory_mb() -> float:

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Collection, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jax import Array
 
-from jaxdeconf import collect, systems
+from jaxdeconf import collect, systems, threads
 from jaxdeconf.collect import Collected
 from jaxdeconf.deconfound import clone_policy, learn_latents, mask_latents
 from jaxdeconf.demos import Demos
@@ -111,12 +110,9 @@ def _judge(
         return judge.judge_policy(trial, policies[name], history[-1][1], curve)
 
     judged, driven = {}, {}
-    # At first it is mostly compiling, of which one takes little more than one core.
-    with (
-        this.reporter.bar("judge", len(policies)) as bar,
-        ThreadPoolExecutor(machine.cores()) as pool,
-    ):
-        for name, (found, rolled) in zip(policies, pool.map(one, policies), strict=True):
+    # Side by side: at first it is mostly compiling, which takes little more than one core.
+    with this.reporter.bar("judge", len(policies)) as bar:
+        for name, (found, rolled) in zip(policies, threads.each(one, policies), strict=True):
             judged[name], driven[name] = found, rolled
             bar.update(1, f"{name}: rollout loss {found.rollout_loss.mean:.3g}")
     this.interruption.check()

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxdeconf import checks
+from jaxdeconf import checks, threads
 from jaxdeconf.pipeline import machine, results
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.plain import to_plain
@@ -17,8 +17,6 @@ from jaxdeconf.pipeline.store import Store, writing
 from jaxdeconf.theory import claims, pixels
 from jaxdeconf.theory.claims import ClaimsConfig, Rate
 from jaxdeconf.theory.pixels import Driven, PixelsConfig
-
-_STRIP = 10  # first frames of a condition
 
 
 @dataclass(frozen=True)
@@ -102,11 +100,7 @@ def _on_pixels(this: Run, found: Theory) -> tuple[Theory, dict[str, np.ndarray]]
     config, key = this.config.pixels, this.key
     scene = pixels.prepare(config, key, this.stage, this.watch)
     rates = pixels.mask_rates(config, scene, key, this.stage)
-    driven, strips = [], {}
-    for coupling in config.couplings:
-        came, demos = pixels.drive(config, scene, coupling, key, this.watch)
-        driven.append(came)
-        place = np.argsort(np.asarray(demos.initial_states)[:, 0])
-        chosen = place[np.linspace(0, len(place) - 1, _STRIP).astype(int)]
-        strips[f"{coupling:g}"] = np.asarray(demos.images)[chosen, 0]
+    of = [pixels.clone(config, scene, one, key, this.watch) for one in config.couplings]
+    driven = [*threads.each(lambda one: pixels.drive(scene, one, key), of)]
+    strips = {f"{one.coupling:g}": one.shown for one in of}
     return found._replace(pixels=rates, driven=driven, square=scene.square), strips

@@ -18,11 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental import multihost_utils
 
-from jaxdeconf import systems
+from jaxdeconf import systems, threads
 from jaxdeconf.learn.fit import FitState, Training
 from jaxdeconf.method import Ask, Method, cloning, imitated
 from jaxdeconf.methods import METHODS
-from jaxdeconf.pipeline import judge
+from jaxdeconf.pipeline import judge, machine
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
@@ -136,6 +136,7 @@ def _finish(
             seconds |= zip(found, (one.seconds for one in batch), strict=True)
             if rows := complete():
                 yield "policies", rows
+            machine.forget_programs()
 
 
 def _needed(
@@ -189,12 +190,18 @@ def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[J
     unknown = Judged(Losses(np.nan, np.nan), np.nan, np.nan, np.nan, np.nan)
     leaves, form = jax.tree.flatten(unknown)
     mine = np.full((len(policies), len(leaves)), np.nan)
-    for i, (point, job, trained) in enumerate(policies):
-        if i % count == jax.process_index() and finite(trained.state):
-            policy = job.training.trained(jax.tree.map(jnp.asarray, trained.state))
-            trial = data_of(work, point.config).trial
-            found, _ = judge.judge_policy(trial, policy, trained.loss)
-            mine[i] = jax.tree.leaves(judge.compared(trial, policy, found))
+
+    def one(i: int) -> list[float]:
+        point, job, trained = policies[i]
+        policy = job.training.trained(jax.tree.map(jnp.asarray, trained.state))
+        trial = data_of(work, point.config).trial
+        found, _ = judge.judge_policy(trial, policy, trained.loss)
+        return jax.tree.leaves(judge.compared(trial, policy, found))
+
+    of = [i for i in range(len(policies)) if finite(policies[i][2].state)]
+    of = [i for i in of if i % count == jax.process_index()]
+    for i, found in zip(of, threads.each(one, of), strict=True):
+        mine[i] = found
     whole = multihost_utils.process_allgather(mine).reshape(-1, *mine.shape)
     judged = []
     for i, (_, _, trained) in enumerate(policies):

@@ -6,9 +6,7 @@ of one system. Shapes: B systems, S state, O observation, H reaction horizon, P 
 """
 
 import math
-import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,7 +17,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from jaxdeconf import checks
+from jaxdeconf import checks, threads
 from jaxdeconf.independence import hoeffding_d, least_strength, p_value
 from jaxdeconf.independence.interaction import interaction_r, strongest
 from jaxdeconf.keys import named
@@ -40,7 +38,7 @@ from jaxdeconf.theory.structural import (
 
 # (name, what makes a pytree of arrays) -> the pytree: where a caller may keep it, see `pipeline`.
 Stage = Callable[[str, Callable[[], Any]], Any]
-_CHUNK = 50  # systems of one compiled call
+_CHUNK = 10  # systems of one compiled call
 _TIED = (300, 1000)  # N of systems with ties, which take R, too
 _BROKEN = 2500  # the most trajectories of systems that break an assumption
 _MOST, _COLUMNS = 1000, 64  # N, and columns, of the largest family of tests
@@ -154,9 +152,14 @@ class Measured(NamedTuple):
 
 def draw_systems(config: ClaimsConfig, count: int, key: Array) -> tuple[Structure, np.ndarray]:
     """B = count systems, and the strength [B] of each: they take turns."""
-    strengths = np.resize(np.array(config.strengths), count)
-    keys = jax.random.split(named(key, "structures"), count)
-    return jax.jit(jax.vmap(structural.draw_structure))(keys, jnp.asarray(strengths)), strengths
+    most = max(count, config.systems)  # of any number, the first: one program draws all
+    strengths = np.resize(np.array(config.strengths), most)
+    keys = jax.random.split(named(key, "structures"), most)
+    drawn = _draw(keys, jnp.asarray(strengths))
+    return jax.tree.map(lambda a: a[:count], drawn), strengths[:count]
+
+
+_draw = jax.jit(jax.vmap(structural.draw_structure))
 
 
 @partial(jax.jit, static_argnames=("trajectories", "horizon", "tied", "together"))
@@ -218,17 +221,23 @@ def run_tests(
 def _in_chunks(compute: Callable[[np.ndarray], Any], count: int) -> Any:
     """A pytree of arrays [count, ...] of what is computed for numbers [_CHUNK] below count.
 
-    A program runs its systems one after another, so each core has a chunk of its own; the first is
-    computed alone, and compiles for all: XLA may crash where two threads compile.
+    The first is computed alone, and compiles for all.
     """
     chunks = [np.arange(begin, begin + _CHUNK) % count for begin in range(0, count, _CHUNK)]
-    found = [jax.block_until_ready(compute(chunks[0]))]
-    if isinstance(jnp.zeros(()), Tracer):  # shapes are asked for, of which other threads know not
-        found += map(compute, chunks[1:])
-    else:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            found += pool.map(lambda chunk: jax.block_until_ready(compute(chunk)), chunks[1:])
+    found = [*_side_by_side(compute, chunks[:1]), *_side_by_side(compute, chunks[1:])]
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+
+
+def _side_by_side(compute: Callable[[Any], Any], of: Sequence[Any]) -> list[Any]:
+    """What is computed of each: a program runs its systems one after another, on one core."""
+    if isinstance(jnp.zeros(()), Tracer):  # shapes are asked for, of which other threads know not
+        return [*map(compute, of)]
+    return [*threads.each(lambda one: jax.block_until_ready(compute(one)), of)]
+
+
+def _by_number(compute: Callable[[int], Any], trajectories: Sequence[int]) -> dict[int, Any]:
+    """What is computed for each number of trajectories, whose program is its own."""
+    return dict(zip(trajectories, _side_by_side(compute, trajectories), strict=True))
 
 
 def measure(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> dict[int, Measured]:
@@ -240,7 +249,7 @@ def measure(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> dict[in
         intervened, natural = jax.random.split(jax.random.fold_in(key, n))
         return Measured(test(intervened), test(natural, coupling=1.0))
 
-    return stage("systems", lambda: {n: one(n) for n in config.trajectories})
+    return stage("systems", lambda: _by_number(one, config.trajectories))
 
 
 def conservative(
@@ -272,7 +281,7 @@ def _broken(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
             found[f"{BUTTON}, tested by R"] = tied
         return found
 
-    found = stage("assumptions broken", lambda: {n: tests(n) for n in _few(config, _BROKEN)})
+    found = stage("assumptions broken", lambda: _by_number(tests, _few(config, _BROKEN)))
     for n in _few(config, _BROKEN):
         gamma = config.gamma(n)
         for name, one in found[n].items():
@@ -302,7 +311,7 @@ def pairs(config: ClaimsConfig, key: Array, stage: Stage = at_once) -> list[Rate
             for name, of in systems.items()
         }
 
-    found = stage("pairs", lambda: {n: tests(n) for n in _few(config, _BROKEN)})
+    found = stage("pairs", lambda: _by_number(tests, _few(config, _BROKEN)))
     for n in _few(config, _BROKEN):
         for name, one in found[n].items():
             for word, count in _TOGETHER.items():
@@ -398,7 +407,7 @@ def _of_tests(config: ClaimsConfig, key: Array, stage: Stage) -> Iterator[Rate]:
         some = partial(_normal_columns, strength=least[n], trajectories=n)
         return _in_chunks(lambda chunk: some(keys[chunk]), len(keys))
 
-    found = stage("normal columns", lambda: {n: pairs(n) for n in few})
+    found = stage("normal columns", lambda: _by_number(pairs, few))
     for n in few:
         d, strength = np.asarray(found[n]), least[n]
         for some in columns:

@@ -19,16 +19,15 @@ from jax import Array
 from jaxdeconf import checks, collect, evaluate
 from jaxdeconf.collect import CollectConfig, Collected
 from jaxdeconf.deconfound import clone_policy, learn_latents, mask_latents
-from jaxdeconf.demos import Demos
 from jaxdeconf.expert import ExpertConfig
 from jaxdeconf.keys import named
 from jaxdeconf.leakage import explained
 from jaxdeconf.learn import clone as bc
 from jaxdeconf.learn import disentangle as vae
-from jaxdeconf.learn.clone import CloneConfig
+from jaxdeconf.learn.clone import CloneConfig, Policy
 from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.learn.fit import FitState, Training, Watch, finish
-from jaxdeconf.mask import MaskConfig, find_mask
+from jaxdeconf.mask import Mask, MaskConfig, find_mask
 from jaxdeconf.method import Evidence
 from jaxdeconf.methods import METHODS, masking
 from jaxdeconf.region import find_region
@@ -37,6 +36,8 @@ from jaxdeconf.systems.rollout import frames
 from jaxdeconf.theory.claims import Rate, Stage, at_once, rate
 
 _HAND = 0.8  # how much of the first square's range follows from where the cart stands
+_SHOWN = 10  # first frames of a condition, for its report
+_REDRAWN = 25  # rollouts whose squares are redrawn: 25 × 99 frames, each with a square of its own
 _SAME = 0.9  # share of a latent's variance that the previous action explains, if it is the square's
 
 
@@ -88,6 +89,15 @@ class Driven(NamedTuple):
     error: float  # its standard error over rollouts
     survival: float  # share of rollouts in bounds to the end
     copycat: float  # mean change of the action over its limit when only the square is redrawn
+
+
+class Condition(NamedTuple):
+    """What was cloned where a share of trajectories was not intervened on."""
+
+    coupling: float  # that share
+    mask: Mask
+    policy: Policy
+    shown: np.ndarray  # uint8 [_SHOWN, H, W, 3] first frames, by where the cart starts
 
 
 class Scene(NamedTuple):
@@ -199,16 +209,12 @@ def _columns(
     return jax.lax.map(one, keys)
 
 
-def drive(
+def clone(
     config: PixelsConfig, scene: Scene, coupling: float, key: Array, watch: Watch = finish
-) -> tuple[Driven, Demos]:
-    """Masks with all of a condition's trajectories, clones behind that mask, and lets it drive.
-
-    Returns:
-      What came of it, and what it was cloned from.
-    """
-    system, collected = scene.system, scene.collected
-    expert = coupled(system, collected.expert, coupling, named(key, "coupled"))
+) -> Condition:
+    """Masks with all of a condition's trajectories, and clones behind that mask."""
+    system = scene.system
+    expert = coupled(system, scene.collected.expert, coupling, named(key, "coupled"))
     demos = collect.demonstrations(system, expert, config.clone.trajectory_steps)
     found = mask_latents(scene.encoder, demos, config.mask)
     evidence = Evidence(scene.encoder, found.mask)
@@ -220,18 +226,25 @@ def drive(
         return watch(f"{name}, coupling {coupling:g}", training)
 
     policy = clone_policy(config.method, demos, evidence, key, config.clone, named_watch)
-    starts = collected.evaluation.states[:, 0]
-    driven = evaluate.drive(system, policy, starts, named(key, "driven"))
+    place = np.argsort(np.asarray(demos.initial_states)[:, 0])
+    shown = place[np.linspace(0, len(place) - 1, _SHOWN).astype(int)]
+    return Condition(coupling, found, policy, np.asarray(demos.images)[shown, 0])
+
+
+def drive(scene: Scene, condition: Condition, key: Array) -> Driven:
+    """Lets the policy of a condition drive."""
+    system, evaluation = scene.system, scene.collected.evaluation
+    driven = evaluate.drive(system, condition.policy, evaluation.states[:, 0], named(key, "driven"))
     loss = np.asarray(evaluate.rollout_loss(system, driven))
-    moved = evaluate.copycat(system, policy, collected.evaluation, named(key, "redrawn"))
-    came = Driven(
-        coupling,
-        np.asarray(found.mask),
-        np.asarray(found.state_observation),
-        float(found.threshold),
+    some = jax.tree.map(lambda a: a[:_REDRAWN], evaluation)
+    moved = evaluate.copycat(system, condition.policy, some, named(key, "redrawn"))
+    return Driven(
+        condition.coupling,
+        np.asarray(condition.mask.mask),
+        np.asarray(condition.mask.state_observation),
+        float(condition.mask.threshold),
         float(loss.mean()),
         float(loss.std(ddof=1) / np.sqrt(len(loss))),
         float(evaluate.outcome(system, driven).mean()),
         float(moved),
     )
-    return came, demos

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf import systems
+from jaxdeconf import systems, threads
 from jaxdeconf.collect import Collected
 from jaxdeconf.independence.hscic import hscic
 from jaxdeconf.learn.clone import Policy
@@ -90,6 +90,18 @@ def test_peak_memory_is_the_processs_own():
     assert after - before == pytest.approx(200, abs=10)
 
 
+def test_programs_are_forgotten_where_they_are_many():
+    from jaxdeconf.pipeline import machine
+
+    double = jax.jit(lambda x: 2 * x)
+    double(1.0)
+    machine.forget_programs()
+    assert double._cache_size() == 1
+    machine.forget_programs(most=1)
+    assert double._cache_size() == 0
+    assert double(1.0) == 2.0
+
+
 def test_a_machine_that_does_not_say_is_no_fault(monkeypatch):
     """Reference: what macOS and Windows lack."""
     import os
@@ -97,7 +109,7 @@ def test_a_machine_that_does_not_say_is_no_fault(monkeypatch):
     from jaxdeconf.pipeline import machine
 
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    assert machine.cores() >= 1
+    assert threads.cores() >= 1
     monkeypatch.setattr(os, "sysconf", lambda _: (_ for _ in ()).throw(ValueError()))
     assert machine.free_memory() > 0
     monkeypatch.setattr(machine.Path, "exists", lambda _: False)
