@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.stats import ttest_rel
 
 from jaxdeconf.pipeline.results import Judged, JudgedExpert, Losses, Row
 from jaxdeconf.presets import PRESETS
@@ -71,7 +72,21 @@ def test_fair_methods_come_first_and_the_best_of_a_kind(written):
     assert (dagger["labels"], dagger["episodes"]) == ("1,280", "32")
 
 
-def test_a_difference_holds_where_the_seeds_agree(written):
+@pytest.mark.parametrize("seeds", [2, 3, 5])
+@pytest.mark.parametrize("method", [name for name in LOSSES if name != "BcVanilla"])
+def test_a_difference_holds_where_a_paired_t_test_says_so(method, seeds):
+    """Reference: scipy.stats."""
+    some = [row for row in rows_of() if row.values["seed"] < seeds]
+    (said,) = [
+        words
+        for words in compare.differences(compare.standings(some))
+        if words.startswith(f"{method} ")
+    ]
+    p = ttest_rel(LOSSES[method][:seeds], LOSSES["BcVanilla"][:seeds]).pvalue
+    assert said.endswith("it holds.") == (p < 0.05)
+
+
+def test_a_difference_is_told_with_its_seeds(written):
     said = {words.split()[0]: words for words in compare.differences(compare.standings(rows_of()))}
     assert said.keys() == LOSSES.keys() - {"BcVanilla"}
     assert said["Masked"].endswith("lower on 5 of 5 seeds; it holds.")
