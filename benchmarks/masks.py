@@ -1,16 +1,17 @@
 """How good is the mask? Precision and recall, seed after seed: `python -m benchmarks.masks`.
 
 CartPole as the laptop preset has it, from its data to the mask, with new trajectories a seed; for
-the latents, the components of the linear start alone, with which the preset's β-VAE begins. For N
-demonstrations and a rule for γ, over all seeds, and beside each what N, γ and the tests predict:
+the latents, the components of the linear start alone, with which the preset's β-VAE begins, or with
+--steps that β-VAE after so many. For N demonstrations and a rule for γ, over all seeds, and beside
+each what N, γ and the tests predict:
 
     recall      of the latents that are the nuisance's, the share that is masked. Independent of
                 every state, one is kept only if a test of it errs: predicted is (1 - p(γ))^S, or
                 more, where some states are not seen to move an action
-    precision   of the latents that are masked, the share that is the nuisance's
-    missed      of the other latents, the share that is masked. A latent is masked if and only if
-                its margin, the largest over states of the lesser of D with it and D of the state
-                and an action, is at most γ: what the margins at the largest N predict.
+    precision   of the active latents that are masked, the share that is the nuisance's
+    missed      of the other active latents, the share that is masked. A latent is masked if and
+                only if its margin, the largest over states of the lesser of D with it and D of the
+                state and an action, is at most γ: what the margins at the largest N predict.
 
 --out holds what was found of each seed; what is there is not measured again. Shapes: N
 trajectories, S state, O latent, H horizon.
@@ -19,6 +20,7 @@ trajectories, S state, O latent, H horizon.
 import argparse
 import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -30,10 +32,12 @@ from jax import Array
 
 from jaxdeconf import collect, systems
 from jaxdeconf.commands.guard import cache_compilations
+from jaxdeconf.deconfound import learn_latents
 from jaxdeconf.expert import expert_trajectories
 from jaxdeconf.independence import p_value
 from jaxdeconf.keys import named
 from jaxdeconf.leakage import explained
+from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.linear_start import linear_start
 from jaxdeconf.mask import effective_threshold, family, find_mask
 from jaxdeconf.pipeline.plain import write_json
@@ -47,6 +51,7 @@ CARTPOLE = systems.get("cartpole")
 # No mask needs more steps of an expert.
 SHORT = replace(CARTPOLE, steps=CONFIG.mask.reaction_horizon)
 _LEARNED, _JUDGED = 4096, 1200  # frames, of which the linear start takes as many
+Latents = Callable[[Array], Array]
 COUNTS = (100, 300, 1000)
 RULES = {"γ = 0.001": None, "family-wise 5 %": 0.05}
 
@@ -57,6 +62,7 @@ class Seed(NamedTuple):
     nuisance: np.ndarray  # [O] bool: the previous action explains 90 % of it
     masks: np.ndarray  # [counts, rules, O] bool
     margins: np.ndarray  # [counts, O]
+    active: np.ndarray  # [O] bool
 
 
 def flat(images: Array) -> Array:
@@ -64,26 +70,37 @@ def flat(images: Array) -> Array:
     return raster.dequantize(images).reshape(len(images), -1)
 
 
-def measure(seed: int) -> Seed:
+def learned(images: Array, held_out: Array, steps: int, key: Array) -> tuple[Array, Latents]:
+    """[O] bool, which latents are active, and what tells them, uint8 [n, H, W, 3] -> [n, O]."""
+    config = CONFIG.disentangle
+    if not steps:
+        count = config.network.latents
+        start = linear_start(flat(images), count, named(key, "linear start"))
+        return jnp.ones(count, bool), lambda of: (flat(of) - start.mean) @ start.encoder
+    encoder = learn_latents(images, held_out, key, replace(config, steps=steps))
+
+    def latents(of: Array) -> Array:
+        mean, _ = disentangle.encode(encoder.network, encoder.variables, of)
+        return jnp.where(encoder.active, mean, 0.0)
+
+    return encoder.active, latents
+
+
+def measure(seed: int, steps: int) -> Seed:
     """The masks of one seed's demonstrations."""
     key, most = jax.random.key(seed), COUNTS[-1]
     random = random_trajectories(CARTPOLE, named(key, "random"), 5000)
     valid = np.flatnonzero(np.asarray(random.valid))
     chosen = np.random.default_rng(seed).choice(valid, _LEARNED + _JUDGED, replace=False)
     some = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:])[chosen], random)
-    images, signal = flat(frames(CARTPOLE, some)), some.signals / CARTPOLE.limits
-    count = CONFIG.disentangle.network.latents
-    start = linear_start(images[:_LEARNED], count, named(key, "linear start"))
-
-    def latents(images: Array) -> Array:
-        return (images - start.mean) @ start.encoder
-
+    images, signal = frames(CARTPOLE, some), some.signals / CARTPOLE.limits
+    active, latents = learned(images[:_LEARNED], images[_LEARNED:], steps, key)
     share = explained(signal[_LEARNED:], latents(images[_LEARNED:]), named(key, "told"))
     keys = jax.random.split(named(key, "expert initial states"), most)
     states = jax.vmap(CARTPOLE.sample_initial)(keys)
     driven, _ = expert_trajectories(SHORT, states, named(key, "expert"), CONFIG.expert)
     demos = collect.demonstrations(SHORT, driven)
-    first = latents(flat(demos.images[:, 0]))
+    first = latents(demos.images[:, 0])
     masks, margins = [], []
     for n in COUNTS:
         rules = np.array([gamma(n, alpha) for alpha in RULES.values()])
@@ -91,7 +108,8 @@ def measure(seed: int) -> Seed:
         moved = found.state_action.max(axis=(1, 2))[:, None]
         margins.append(jnp.minimum(found.state_observation, moved).max(axis=0))
         masks.append(found.mask)
-    return Seed(np.asarray(share) >= SAME, np.asarray(masks), np.asarray(margins))
+    nuisance = np.asarray(share >= SAME) & np.asarray(active)
+    return Seed(nuisance, np.asarray(masks), np.asarray(margins), np.asarray(active))
 
 
 def gamma(n: int, alpha: float | None) -> float:
@@ -114,20 +132,21 @@ def interval(part: int, whole: int) -> str:
 
 def say(seeds: list[Seed]) -> None:
     """A row for each N and rule."""
-    nuisance, masks, margins = (np.array(part) for part in zip(*seeds, strict=True))
+    nuisance, masks, margins, active = (np.array(part) for part in zip(*seeds, strict=True))
+    others = active & ~nuisance
     print(f"{len(seeds)} seeds; latents that are the nuisance's: {np.bincount(nuisance.sum(1))}")
     print("| N | rule (γ) | recall | predicted | precision | missed | predicted |")
     for i, n in enumerate(COUNTS):
         for j, (rule, alpha) in enumerate(RULES.items()):
             mask, level = masks[:, i, j], gamma(n, alpha)
             p = float(p_value(level, n))
-            found, wrong = int((mask & nuisance).sum()), int((mask & ~nuisance).sum())
+            found, wrong = int((mask & nuisance).sum()), int((mask & others).sum())
             cells = (
                 interval(found, int(nuisance.sum())),
                 f"{(1 - p) ** len(CARTPOLE.state_names):.3f}",
                 interval(found, found + wrong),
-                interval(wrong, int((~nuisance).sum())),
-                f"{(margins[:, -1] <= level)[~nuisance].mean():.3f}",
+                interval(wrong, int(others.sum())),
+                f"{(margins[:, -1] <= level)[others].mean():.3f}",
             )
             print(f"| {n} | {rule} ({level:.4f}) | " + " | ".join(cells) + " |", flush=True)
 
@@ -137,6 +156,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=100, help="the first seed")
     parser.add_argument("--seeds", type=int, default=100, help="how many")
+    parser.add_argument("--steps", type=int, default=0, help="of the β-VAE; 0: its linear start")
     parser.add_argument("--out", type=Path, default=Path("runs/masks.json"))
     options = parser.parse_args()
     cache_compilations()
@@ -145,10 +165,11 @@ def main() -> None:
     wanted, begin = map(str, range(options.seed, options.seed + options.seeds)), time.process_time()
     found = {}
     for seed in wanted:
-        if seed not in known:
-            known[seed] = measure(int(seed))._asdict()
+        name = f"{seed}, {options.steps} steps"
+        if name not in known:
+            known[name] = measure(int(seed), options.steps)._asdict()
             write_json(options.out, known)
-        found[seed] = Seed(*map(np.asarray, known[seed].values()))
+        found[seed] = Seed(*map(np.asarray, known[name].values()))
     say([*found.values()])
     print(f"{time.process_time() - begin:.0f} s of processor time")
 

@@ -9,6 +9,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxdeconf import checks
@@ -102,6 +103,18 @@ def outcome(system: System, trajectories: Trajectories) -> Array:
     """[R] what each trajectory came to, in the system's own terms: 1 for survival, say."""
     _check(system, trajectories)
     return jax.vmap(system.outcome.of)(trajectories.states, trajectories.valid)
+
+
+def in_turns(trajectories: Trajectories, steps: int) -> Trajectories:
+    """[R, steps] of trajectories [R, T]: of each another part, so that all starts and times are in.
+
+    What is asked of frames costs as much as training: a part of them says nearly as much.
+    """
+    rollouts, most = trajectories.valid.shape
+    length = min(steps, most)
+    begin = np.arange(rollouts) * length % (most - length + 1)
+    rows, columns = np.arange(rollouts)[:, None], begin[:, None] + np.arange(length)
+    return jax.tree.map(lambda a: a[rows, columns], trajectories)
 
 
 def copycat(system: System, policy: Policy, trajectories: Trajectories, key: Array) -> Array:

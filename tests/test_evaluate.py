@@ -122,6 +122,20 @@ def test_rollout_loss_charges_the_cost_of_the_exit_for_the_rest(driven):
     assert ended  # an untrained policy drops the pole
 
 
+def test_all_starts_and_times_come_in_turn(driven):
+    many = jax.tree.map(lambda a: jnp.tile(a, (20, *[1] * (a.ndim - 1))), driven)
+    many = many._replace(signals=jnp.broadcast_to(jnp.arange(100.0)[:, None], many.signals.shape))
+    found = evaluate.in_turns(many, 25)
+    assert found.valid.shape == (60, 25)
+    times = np.asarray(found.signals[..., 0])
+    np.testing.assert_array_equal(np.diff(times), 1.0)
+    assert np.bincount(times.astype(int).ravel(), minlength=100).min() > 0
+    for r in range(60):
+        own = many.states[r, int(times[r, 0]) : int(times[r, -1]) + 1]
+        np.testing.assert_array_equal(found.states[r], own)
+    assert evaluate.in_turns(many, 500).valid.shape == (60, 100)
+
+
 def redness(images):
     """[B] what the nuisance of the present frame shows, read off its middle: -1 green, +1 red."""
     return (images[:, 1, 1, -3] - 0.5) * 2.0

@@ -36,9 +36,7 @@ from jaxdeconf.views import covered, identity, reconstructed, see
 # Frames that train, and that test, the regression of leakage: its time is cubic in them.
 _JUDGE_FRAMES = 1500
 _HSCIC_SAMPLES = 1024  # its time is cubic, too; the authors' batch
-# Rollouts whose squares are redrawn, every frame's by itself, for copycat and its slope: each step
-# goes through view and network as often as one of training.
-_REDRAWN = 25
+_TURN = 25  # steps of each of the expert's rollouts, for copycat and its slope
 _TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
 _STRIP = 10  # frames
 
@@ -148,7 +146,8 @@ def judge_policy(
       curve: [epoch, mean, standard deviation] of the rollout loss while it was trained.
     """
     driven = drive(trial, policy)
-    copied = evaluate.copycat(trial.system, policy, _some(trial), named(trial.key, "copycat"))
+    shown = evaluate.in_turns(trial.collected.evaluation, _TURN)
+    copied = evaluate.copycat(trial.system, policy, shown, named(trial.key, "copycat"))
     judged = Judged(
         rollout_loss=rollout_loss(trial, driven)._replace(per_epoch=curve or []),
         outcome=float(evaluate.outcome(trial.system, driven).mean()),
@@ -174,12 +173,9 @@ def compared(trial: Trial, policy: Policy, judged: Judged) -> Judged:
 
 
 def copycat_slope(trial: Trial, policy: Policy) -> float:
-    """On some of the expert's rollouts."""
-    return float(evaluate.copycat_slope(trial.system, policy, _some(trial)))
-
-
-def _some(trial: Trial) -> Trajectories:
-    return jax.tree.map(lambda a: a[:_REDRAWN], trial.collected.evaluation)
+    """At some steps of the expert's rollouts."""
+    shown = evaluate.in_turns(trial.collected.evaluation, _TURN)
+    return float(evaluate.copycat_slope(trial.system, policy, shown))
 
 
 def past_leakage(trial: Trial, policy: Policy) -> float:

@@ -197,4 +197,4 @@ def differences(found: Sequence[Standing]) -> list[str]:
 def _notes(rows: Sequence[Row]) -> str:
     names = words.ordered({name for row in rows for name in row.policies})
     known = [[name, METHODS[name].kind, METHODS[name].note] for name in names if name in METHODS]
-    return page.table(["", "kind", "what it is cloned on"], known)
+    return page.table(["", "kind", "what it is cloned on"], known, kind="words")

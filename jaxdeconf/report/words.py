@@ -35,7 +35,7 @@ def number(value: float | None, undefined: str = "undefined") -> str:
 
 def fixed(value: float, places: int) -> str:
     """A number to so many decimal places, so that a column lines up."""
-    return f"{value:.{places}f}" if math.isfinite(value) else number(value)
+    return f"{value:z.{places}f}" if math.isfinite(value) else number(value)
 
 
 def loss(value: float) -> str:
