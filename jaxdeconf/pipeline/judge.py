@@ -36,7 +36,7 @@ from jaxdeconf.views import covered, identity, reconstructed, see
 # Frames that train, and that test, the regression of leakage: its time is cubic in them.
 _JUDGE_FRAMES = 1500
 _HSCIC_SAMPLES = 1024  # its time is cubic, too; the authors' batch
-_TURN = 25  # steps of each of the expert's rollouts, for copycat and its slope
+_TURN = 25  # steps of each of the expert's rollouts, for copycat, its slope and past leakage
 _TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
 _STRIP = 10  # frames
 
@@ -181,9 +181,10 @@ def copycat_slope(trial: Trial, policy: Policy) -> float:
 def past_leakage(trial: Trial, policy: Policy) -> float:
     """HSCIC of a policy's action and the expert's one before, given the expert's action.
 
-    On the expert's rollouts, but for the first steps, before which nobody acted.
+    At some steps of the expert's rollouts, but for the first, before which nobody acted.
     """
-    expert, first = trial.collected.evaluation, max(1, policy.frames - 1)
+    expert = evaluate.in_turns(trial.collected.evaluation, _TURN)
+    first = max(1, policy.frames - 1)
     answered = evaluate.answers(trial.system, policy, expert)[:, first - (policy.frames - 1) :]
     stride = -(-answered.shape[0] * answered.shape[1] // _HSCIC_SAMPLES)
     own, previous, acted = (
