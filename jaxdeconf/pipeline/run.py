@@ -114,7 +114,7 @@ def _judge(
     with this.reporter.bar("judge", len(policies)) as bar:
         for name, (found, rolled) in zip(policies, threads.each(one, policies), strict=True):
             judged[name], driven[name] = found, rolled
-            bar.update(1, f"{name}: rollout loss {found.rollout_loss.mean:.3g}")
+            bar.update(len(judged), f"{name}: rollout loss {found.rollout_loss.mean:.3g}")
     this.interruption.check()
     return judged, driven
 
