@@ -105,7 +105,7 @@ def outcome(system: System, trajectories: Trajectories) -> Array:
     return jax.vmap(system.outcome.of)(trajectories.states, trajectories.valid)
 
 
-def in_turns(trajectories: Trajectories, steps: int) -> Trajectories:
+def in_turns(trajectories: Trajectories, steps: int = 25) -> Trajectories:
     """[R, steps] of trajectories [R, T]: of each another part, so that all starts and times are in.
 
     What is asked of frames costs as much as training: a part of them says nearly as much.

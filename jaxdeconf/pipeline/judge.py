@@ -36,7 +36,6 @@ from jaxdeconf.views import covered, identity, reconstructed, see
 # Frames that train, and that test, the regression of leakage: its time is cubic in them.
 _JUDGE_FRAMES = 1500
 _HSCIC_SAMPLES = 1024  # its time is cubic, too; the authors' batch
-_TURN = 25  # steps of each of the expert's rollouts, for copycat, its slope and past leakage
 _TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
 _STRIP = 10  # frames
 
@@ -146,7 +145,7 @@ def judge_policy(
       curve: [epoch, mean, standard deviation] of the rollout loss while it was trained.
     """
     driven = drive(trial, policy)
-    shown = evaluate.in_turns(trial.collected.evaluation, _TURN)
+    shown = evaluate.in_turns(trial.collected.evaluation)
     copied = evaluate.copycat(trial.system, policy, shown, named(trial.key, "copycat"))
     judged = Judged(
         rollout_loss=rollout_loss(trial, driven)._replace(per_epoch=curve or []),
@@ -174,7 +173,7 @@ def compared(trial: Trial, policy: Policy, judged: Judged) -> Judged:
 
 def copycat_slope(trial: Trial, policy: Policy) -> float:
     """At some steps of the expert's rollouts."""
-    shown = evaluate.in_turns(trial.collected.evaluation, _TURN)
+    shown = evaluate.in_turns(trial.collected.evaluation)
     return float(evaluate.copycat_slope(trial.system, policy, shown))
 
 
@@ -183,7 +182,7 @@ def past_leakage(trial: Trial, policy: Policy) -> float:
 
     At some steps of the expert's rollouts, but for the first, before which nobody acted.
     """
-    expert = evaluate.in_turns(trial.collected.evaluation, _TURN)
+    expert = evaluate.in_turns(trial.collected.evaluation)
     first = max(1, policy.frames - 1)
     answered = evaluate.answers(trial.system, policy, expert)[:, first - (policy.frames - 1) :]
     stride = -(-answered.shape[0] * answered.shape[1] // _HSCIC_SAMPLES)

@@ -37,7 +37,6 @@ from jaxdeconf.theory.claims import Rate, Stage, at_once, rate
 
 _HAND = 0.8  # how much of the first square's range follows from where the cart stands
 _SHOWN = 10  # first frames of a condition, for its report
-_TURN = 25  # steps of each rollout in which squares are redrawn
 _SAME = 0.9  # share of a latent's variance that the previous action explains, if it is the square's
 
 
@@ -236,7 +235,7 @@ def drive(scene: Scene, condition: Condition, key: Array) -> Driven:
     system, evaluation = scene.system, scene.collected.evaluation
     driven = evaluate.drive(system, condition.policy, evaluation.states[:, 0], named(key, "driven"))
     loss = np.asarray(evaluate.rollout_loss(system, driven))
-    shown = evaluate.in_turns(evaluation, _TURN)
+    shown = evaluate.in_turns(evaluation)
     moved = evaluate.copycat(system, condition.policy, shown, named(key, "redrawn"))
     return Driven(
         condition.coupling,
