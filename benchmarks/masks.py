@@ -44,6 +44,7 @@ from jaxdeconf.pipeline.plain import write_json
 from jaxdeconf.pipeline.results import SAME
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.systems.rollout import frames, random_trajectories
+from jaxdeconf.theory.claims import rate
 from jaxdeconf.vision import raster
 
 CONFIG = PRESETS["cartpole"]["laptop"]
@@ -119,15 +120,13 @@ def gamma(n: int, alpha: float | None) -> float:
     return float(effective_threshold(1e-3, alpha, n, family(states, tested, 1)))
 
 
-def interval(part: int, whole: int) -> str:
-    """A share with Wilson's interval of 95 %."""
-    if not whole:
+def interval(happened: np.ndarray) -> str:
+    """How often something happened, with an interval."""
+    if not happened.size:
         return "none"
-    z2, share = 1.96**2, part / whole
-    middle = (share + z2 / (2 * whole)) / (1 + z2 / whole)
-    half = 1.96 / (1 + z2 / whole) * np.sqrt(share * (1 - share) / whole + z2 / (4 * whole**2))
-    low, high = np.clip([middle - half, middle + half], 0, 1)
-    return f"{part} of {whole} = {share:.3f} ({low:.3f} to {high:.3f})"
+    found = rate("", 0, 0.0, happened)
+    low, high = found.interval
+    return f"{found.events} of {found.n} = {found.rate:.3f} ({low:.3f} to {high:.3f})"
 
 
 def say(seeds: list[Seed]) -> None:
@@ -140,12 +139,11 @@ def say(seeds: list[Seed]) -> None:
         for j, (rule, alpha) in enumerate(RULES.items()):
             mask, level = masks[:, i, j], gamma(n, alpha)
             p = float(p_value(level, n))
-            found, wrong = int((mask & nuisance).sum()), int((mask & others).sum())
             cells = (
-                interval(found, int(nuisance.sum())),
+                interval(mask[nuisance]),
                 f"{(1 - p) ** len(CARTPOLE.state_names):.3f}",
-                interval(found, found + wrong),
-                interval(wrong, int(others.sum())),
+                interval(nuisance[mask & active]),
+                interval(mask[others]),
                 f"{(margins[:, -1] <= level)[others].mean():.3f}",
             )
             print(f"| {n} | {rule} ({level:.4f}) | " + " | ".join(cells) + " |", flush=True)

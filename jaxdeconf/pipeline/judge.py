@@ -54,6 +54,11 @@ class Trial:
         """The error of telling the expert's actions each from the one before."""
         return _unpredicted(self, self.collected.evaluation)
 
+    @cached_property
+    def shown(self) -> Trajectories:
+        """Some steps of the expert's rollouts, at which policies are asked."""
+        return evaluate.in_turns(self.collected.evaluation)
+
 
 def trial(system: System, key: Array, collected: Collected) -> Trial:
     """A run's trial; draws the held-out frames."""
@@ -145,8 +150,7 @@ def judge_policy(
       curve: [epoch, mean, standard deviation] of the rollout loss while it was trained.
     """
     driven = drive(trial, policy)
-    shown = evaluate.in_turns(trial.collected.evaluation)
-    copied = evaluate.copycat(trial.system, policy, shown, named(trial.key, "copycat"))
+    copied = evaluate.copycat(trial.system, policy, trial.shown, named(trial.key, "copycat"))
     judged = Judged(
         rollout_loss=rollout_loss(trial, driven)._replace(per_epoch=curve or []),
         outcome=float(evaluate.outcome(trial.system, driven).mean()),
@@ -173,8 +177,7 @@ def compared(trial: Trial, policy: Policy, judged: Judged) -> Judged:
 
 def copycat_slope(trial: Trial, policy: Policy) -> float:
     """At some steps of the expert's rollouts."""
-    shown = evaluate.in_turns(trial.collected.evaluation)
-    return float(evaluate.copycat_slope(trial.system, policy, shown))
+    return float(evaluate.copycat_slope(trial.system, policy, trial.shown))
 
 
 def past_leakage(trial: Trial, policy: Policy) -> float:
@@ -182,8 +185,7 @@ def past_leakage(trial: Trial, policy: Policy) -> float:
 
     At some steps of the expert's rollouts, but for the first, before which nobody acted.
     """
-    expert = evaluate.in_turns(trial.collected.evaluation)
-    first = max(1, policy.frames - 1)
+    expert, first = trial.shown, max(1, policy.frames - 1)
     answered = evaluate.answers(trial.system, policy, expert)[:, first - (policy.frames - 1) :]
     stride = -(-answered.shape[0] * answered.shape[1] // _HSCIC_SAMPLES)
     own, previous, acted = (

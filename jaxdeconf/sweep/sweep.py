@@ -198,8 +198,8 @@ def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[J
         found, _ = judge.judge_policy(trial, policy, trained.loss)
         return jax.tree.leaves(judge.compared(trial, policy, found))
 
-    of = [i for i in range(len(policies)) if finite(policies[i][2].state)]
-    of = [i for i in of if i % count == jax.process_index()]
+    share = range(jax.process_index(), len(policies), count)
+    of = [i for i in share if finite(policies[i][2].state)]
     for i, found in zip(of, threads.each(one, of), strict=True):
         mine[i] = found
     whole = multihost_utils.process_allgather(mine).reshape(-1, *mine.shape)

@@ -224,7 +224,7 @@ def _in_chunks(compute: Callable[[np.ndarray], Any], count: int) -> Any:
     The first is computed alone, and compiles for all.
     """
     chunks = [np.arange(begin, begin + _CHUNK) % count for begin in range(0, count, _CHUNK)]
-    found = [*_side_by_side(compute, chunks[:1]), *_side_by_side(compute, chunks[1:])]
+    found = [compute(chunks[0]), *_side_by_side(compute, chunks[1:])]
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
 
 
