@@ -6,6 +6,7 @@ Shapes: R rollouts, T time, S state, A action, n samples.
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -143,41 +144,58 @@ def _copycat(system: System, policy: Policy, trajectories: Trajectories, key: Ar
     return changes.mean()
 
 
-def copycat_slope(system: System, policy: Policy, trajectories: Trajectories) -> Array:
-    """The derivative of a policy's action with respect to the action that the nuisance shows.
+class Saliency(NamedTuple):
+    """Where a policy looks, in the frames that the camera gives."""
 
-    It goes from the present frame's nuisance through the drawing of the frame, the view and the
-    network, at every step of trajectories [R, T] that has L frames.
+    slope: Array  # [] how its action follows the action that the nuisance shows
+    pixels: Array  # [R, T - L + 1, H, W] how it follows each pixel of the present frame
+
+
+def saliency(system: System, policy: Policy, trajectories: Trajectories) -> Saliency:
+    """The derivatives of a policy's action (Simonyan et al. 2013), through network and view.
+
+    They are taken at every step of trajectories [R, T] that has L frames, from the present frame:
+    of its pixels, absolute values summed over colours in [0, 1] and over the action's components;
+    and, on through the drawing of the frame, of the action that the nuisance shows.
 
     Returns:
-      [] mean over steps and over components of the action, each by its own, both over the limit: 0
-      is a policy that does not look, 1 one that repeats what it is shown.
+      Of actions over their limit. The slope is a mean over steps and over the action's components,
+      each by its own, over the limit: 0 is a policy that does not look, 1 one that repeats what it
+      is shown.
     Raises:
       ValueError: if the trajectories are none, or shorter than L.
     """
     _check(system, trajectories, policy)
-    return _copycat_slope(system, policy, trajectories)
+    return _saliency(system, policy, trajectories)
 
 
 @partial(jax.jit, static_argnames="system")
-def _copycat_slope(system: System, policy: Policy, trajectories: Trajectories) -> Array:
+def _saliency(system: System, policy: Policy, trajectories: Trajectories) -> Saliency:
     last = policy.frames - 1
 
-    def seen(one: Trajectories) -> Array:
-        images = jax.vmap(system.render)(one.states, one.signals)
-        return policy.view(policy.parameters, images)
+    def one(followed: Trajectories) -> tuple[Array, Array]:
+        def drawn(signals: Array) -> Array:
+            return jax.vmap(system.render)(followed.states, signals * system.limits)
 
-    def slope(one: Trajectories) -> Array:
-        before, present = _successive(seen(one), last)[:-1], jax.tree.map(lambda a: a[last:], one)
+        images, redraw = jax.vjp(drawn, followed.signals / system.limits)
+        before = _successive(policy.view(policy.parameters, images), last)[:-1]
 
-        def actions(more: Array) -> Array:
-            shown = present._replace(signals=present.signals + more * system.limits)
-            return policy.decide(jnp.concatenate([*before, seen(shown)], axis=-1)).mean(axis=0)
+        def act(present: Array) -> Array:
+            seen = policy.view(policy.parameters, present)
+            return policy.decide(jnp.concatenate([*before, seen], axis=-1))
 
         # In reverse: our convolutions know no other way.
-        return jnp.diagonal(jax.jacrev(actions)(jnp.zeros_like(system.limits))).mean()
+        actions, look = jax.vjp(act, images[last:])
+        of_each = jnp.broadcast_to(
+            jnp.eye(actions.shape[1])[:, None], (actions.shape[1], *actions.shape)
+        )
+        (pixels,) = jax.lax.map(look, of_each)  # [A, n, H, W, 3]
+        (signals,) = jax.lax.map(lambda p: redraw(jnp.zeros_like(images).at[last:].set(p)), pixels)
+        own = jnp.diagonal(signals[:, last:], axis1=0, axis2=2)
+        return own.mean(), jnp.abs(pixels).sum(axis=(0, -1))
 
-    return jax.lax.map(slope, trajectories).mean()
+    slopes, pixels = jax.lax.map(one, trajectories)
+    return Saliency(slopes.mean(), pixels)
 
 
 def answers(system: System, policy: Policy, trajectories: Trajectories) -> Array:

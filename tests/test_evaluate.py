@@ -192,9 +192,9 @@ def test_copycat_is_zero_for_a_covered_nuisance_and_that_of_chance_for_a_pure_co
 def test_the_slope_of_a_copy_is_what_it_copies_with(frames, driven, monkeypatch):
     monkeypatch.setattr(resnet, "apply", lambda *a, train: (a[1] * redness(a[2])[:, None], {}))
     copy = Policy(identity, FUNCTION, frames, {}, -0.3)
-    assert evaluate.copycat_slope(SHORT, copy, driven) == pytest.approx(-0.3, rel=1e-5)
+    assert evaluate.saliency(SHORT, copy, driven).slope == pytest.approx(-0.3, rel=1e-5)
     blind = Policy(covered(SYSTEM.nuisance.cover), FUNCTION, frames, {}, -0.3)
-    assert evaluate.copycat_slope(SHORT, blind, driven) == 0.0
+    assert evaluate.saliency(SHORT, blind, driven).slope == 0.0
 
 
 def test_the_slope_is_that_of_finite_differences(policy, driven):
@@ -208,7 +208,28 @@ def test_the_slope_is_that_of_finite_differences(policy, driven):
 
     slope = (acted(1e-2) - acted(-1e-2)) / 2e-2
     assert abs(slope) > 1e-3
-    assert evaluate.copycat_slope(SYSTEM, policy, driven) == pytest.approx(float(slope), rel=1e-2)
+    found = evaluate.saliency(SYSTEM, policy, driven).slope
+    assert found == pytest.approx(float(slope), rel=1e-2)
+
+
+def test_pixels_are_salient_by_finite_differences(policy, driven):
+    """Of one rollout's one pixel, a colour at a time; where nobody looks, nothing is."""
+    images = jax.vmap(SYSTEM.render)(driven.states[0], driven.signals[0])
+
+    def acted(more):
+        return policy.decide(jnp.concatenate([images[:1], images[1:2] + more], axis=-1))[0, 0]
+
+    found = evaluate.saliency(SYSTEM, policy, driven).pixels
+    assert found.shape == (3, SYSTEM.steps - 1, *SIZE)
+    row, column = np.unravel_index(np.argmax(found[0, 0]), SIZE)
+    nudges = 1e-2 * jnp.zeros((3, *SIZE, 3)).at[np.arange(3), row, column, np.arange(3)].set(1.0)
+    slopes = [(acted(nudge) - acted(-nudge)) / 2e-2 for nudge in nudges]
+    assert np.abs(slopes).sum() == pytest.approx(float(found[0, 0, row, column]), rel=1e-2)
+    blind = replace(policy, view=covered(SYSTEM.nuisance.cover))
+    unseen = evaluate.saliency(SYSTEM, blind, driven).pixels
+    square = np.asarray(SYSTEM.nuisance.cover(jnp.ones((*SIZE, 3))) != 1.0).any(axis=-1)
+    assert np.all(unseen[..., square] == 0.0)
+    assert np.any(unseen[..., ~square] > 0.0)
 
 
 @pytest.mark.parametrize(

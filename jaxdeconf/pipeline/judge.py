@@ -28,6 +28,7 @@ from jaxdeconf.pipeline.results import (
     Losses,
     Pictures,
     Reconstruction,
+    Sight,
 )
 from jaxdeconf.systems import System, Trajectories
 from jaxdeconf.systems.rollout import frames
@@ -38,6 +39,7 @@ _JUDGE_FRAMES = 1500
 _HSCIC_SAMPLES = 1024  # its time is cubic, too; the authors' batch
 _TRAVERSAL = np.linspace(-2.5, 2.5, 9)  # prior standard deviations
 _STRIP = 10  # frames
+_SIGHT = 4  # frames, each of another rollout
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,16 +170,23 @@ def predictability(trial: Trial, driven: Trajectories) -> float:
     return _unpredicted(trial, driven) / expert if expert > 0 else float("nan")
 
 
-def compared(trial: Trial, policy: Policy, judged: Judged) -> Judged:
+def compared(trial: Trial, policy: Policy, judged: Judged) -> tuple[Judged, Sight]:
     """With what only comparisons show: it takes programs of its own, a good while to compile."""
-    return judged._replace(
-        copycat_slope=copycat_slope(trial, policy), past_leakage=past_leakage(trial, policy)
+    found = evaluate.saliency(trial.system, policy, trial.shown)
+    judged = judged._replace(
+        copycat_slope=float(found.slope), past_leakage=past_leakage(trial, policy)
     )
+    return judged, sight(trial, policy, np.asarray(found.pixels))
 
 
-def copycat_slope(trial: Trial, policy: Policy) -> float:
-    """At some steps of the expert's rollouts."""
-    return float(evaluate.copycat_slope(trial.system, policy, trial.shown))
+def sight(trial: Trial, policy: Policy, salient: np.ndarray) -> Sight:
+    """Of some frames; salient is [R, n, H, W], at the last n steps of the trial's `shown`."""
+    rollouts, steps = salient.shape[:2]
+    count = min(_SIGHT, rollouts)
+    which = np.arange(count) * rollouts // count
+    some = jax.tree.map(lambda a: a[which, -steps:][:, steps // 2], trial.shown)
+    seen = see(policy.view, policy.parameters, frames(trial.system, some))
+    return Sight(np.asarray(seen), salient[which, steps // 2])
 
 
 def past_leakage(trial: Trial, policy: Policy) -> float:

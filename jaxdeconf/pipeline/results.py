@@ -55,6 +55,13 @@ class Judged(NamedTuple):
     past_leakage: float = float("nan")
 
 
+class Sight(NamedTuple):
+    """What a policy is shown of some of the expert's frames, and where it looks."""
+
+    seen: np.ndarray  # uint8 [n, H, W, 3]
+    salient: np.ndarray  # float [n, H, W], see `evaluate.saliency`
+
+
 class JudgedExpert(NamedTuple):
     """The expert's numbers."""
 

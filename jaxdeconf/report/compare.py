@@ -22,6 +22,7 @@ from jaxdeconf.pipeline.store import writing
 from jaxdeconf.report import canvas, page, words
 from jaxdeconf.report.standing import Standing
 from jaxdeconf.report.words import EXPERT
+from jaxdeconf.sweep import sights
 from jaxdeconf.sweep.grid import METHODS_AXIS
 from jaxdeconf.sweep.log import Sweep
 
@@ -43,7 +44,13 @@ def write(directory: Path, sweep: Sweep, rows: Sequence[Row]) -> str:
         said = []
         for number, (scene, own) in enumerate(scenes(sweep, rows).items()):
             found = standings(own)
-            drawn = canvas.write(directory / "figures" / f"{number}", FIGURES, found)
+            seen = {
+                name: sight
+                for row in own
+                if (sight := sights.kept(directory, row.point))
+                for name in row.policies
+            }
+            drawn = canvas.write(directory / "figures" / f"{number}", FIGURES, found, seen)
             head, cells, note = table(found, sweep.base)
             body += [page.heading(scene or "Methods"), page.table(head, cells, note)]
             body += [page.paragraph(differences(found)), *page.images(drawn)]

@@ -29,6 +29,7 @@ from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.results import Judged, Losses, Row
 from jaxdeconf.pipeline.run import demonstrations_for
 from jaxdeconf.pipeline.stages import finite
+from jaxdeconf.sweep import sights
 from jaxdeconf.sweep.batch import Job, Trained
 from jaxdeconf.sweep.grid import Point
 from jaxdeconf.sweep.log import Log, Sweep
@@ -196,7 +197,10 @@ def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[J
         policy = job.training.trained(jax.tree.map(jnp.asarray, trained.state))
         trial = data_of(work, point.config).trial
         found, _ = judge.judge_policy(trial, policy, trained.loss)
-        return jax.tree.leaves(judge.compared(trial, policy, found))
+        found, sight = judge.compared(trial, policy, found)
+        if sights.asked(work.sweep, point):
+            sights.keep(work.log.directory, point.index, sight)
+        return jax.tree.leaves(found)
 
     share = range(jax.process_index(), len(policies), count)
     of = [i for i in share if finite(policies[i][2].state)]

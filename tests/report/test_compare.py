@@ -10,9 +10,10 @@ import pytest
 from PIL import Image
 from scipy.stats import ttest_rel
 
-from jaxdeconf.pipeline.results import Judged, JudgedExpert, Losses, Row
+from jaxdeconf.pipeline.results import Judged, JudgedExpert, Losses, Row, Sight
 from jaxdeconf.presets import PRESETS
-from jaxdeconf.report import compare
+from jaxdeconf.report import compare, compare_figures
+from jaxdeconf.sweep import sights
 from jaxdeconf.sweep.grid import Axis
 from jaxdeconf.sweep.log import Sweep
 
@@ -123,3 +124,34 @@ def test_each_scene_has_its_table_and_figure(written):
     assert "Features that depend on the previous action" in text  # what Palr is
     assert "not done" not in text
     assert said.splitlines()[-1] == f"report: {directory / 'report.html'}"
+
+
+def test_methods_whose_policies_are_the_same_share_a_mark():
+    found = compare.standings(rows_of())
+    masked = next(one for one in found if one.method == "Masked")
+    figure = compare_figures.losses([*found, masked._replace(method="Probe")], {})
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    alone = ["Palr", "Longer", "Dagger"]
+    assert labels == ["BcVanilla", "BcManual", "Masked, Probe", *alone, "Expert"]
+
+
+def test_what_policies_see_is_kept_for_the_first_seed_and_shown(tmp_path):
+    """Of those alone whose pictures there are, and that can be read."""
+    sweep, rows = sweep_of(), rows_of()
+    kept = [point for point in sweep.points if sights.asked(sweep, point)]
+    assert [point.config.seed for point in kept] == [0] * len(LOSSES)
+    assert not sights.asked(Sweep(sweep.base, (), SEEDS), kept[0])
+    of = {row.values["methods"][0]: row.point for row in rows if row.values["seed"] == 0}
+    sizes = []
+    for name in ("BcVanilla", "Masked", "Palr"):
+        sight = Sight(np.zeros((3, 16, 16, 3), np.uint8), np.zeros((3, 16, 16), np.float32))
+        sights.keep(tmp_path, of[name], sight)
+        np.testing.assert_array_equal(sights.kept(tmp_path, of[name]).seen, sight.seen)
+        compare.write(tmp_path, sweep, rows)
+        with Image.open(tmp_path / "figures" / "0" / "sights.png") as image:
+            sizes.append(image.size[1])
+    assert sizes[0] < sizes[1] < sizes[2]
+    (tmp_path / "sights" / f"{of['Palr']}.npz").write_bytes(b"damaged")
+    compare.write(tmp_path, sweep, rows)
+    with Image.open(tmp_path / "figures" / "0" / "sights.png") as image:
+        assert image.size[1] == sizes[1]
