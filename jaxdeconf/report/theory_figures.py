@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from jaxdeconf.pipeline.results import Pictures
 from jaxdeconf.pipeline.theory import Theory
@@ -19,6 +20,7 @@ from jaxdeconf.theory.claims import ALONE, Rate
 
 _BLUE, _GREEN = PALETTE[1:3]
 _COLORS = (_BLUE, PALETTE[0], *PALETTE[2:8])
+_HATCHES = ("", "////", "....")
 
 
 def by_case(rows: Iterable[Rate]) -> dict[str, list[Rate]]:
@@ -123,16 +125,21 @@ def pixels(found: Theory, _: Pictures) -> Figure | None:
     names = [_condition(one.coupling) for one in found.driven]
     figure = Figure((9.6, 3.0), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=[2.2, 1, 1])
-    count = len(found.driven[0].mask)
+    count, keys = len(found.driven[0].mask), []
     for place, one in enumerate(found.driven):
         shift = np.arange(count) + 0.25 * (place - (len(names) - 1) / 2)
         d = np.maximum(one.state_observation.max(axis=0), 1e-4)
         colors = [_GREEN if hidden else FAINT for hidden in one.mask]
-        left.bar(shift, d, 0.22, color=colors, edgecolor=INK, linewidth=0.4)
+        look = {"edgecolor": INK, "linewidth": 0.4, "hatch": _HATCHES[place % len(_HATCHES)]}
+        left.bar(shift, d, 0.22, color=colors, **look)
+        keys.append(Patch(facecolor="white", label=names[place], **look))
     left.axhline(found.driven[0].threshold, color=INK, linewidth=0.9)
     left.set_yscale("log")
     left.set_xticks(range(count), [subscript("o", latent + 1) for latent in range(count)])
     left.set_ylabel("largest D with a state")
+    left.legend(
+        handles=keys, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(names), fontsize=7.5
+    )
     rates = [row for row in found.pixels if row.case.startswith("the square")]
     conditions = [_condition(float(row.case.split()[-1])) for row in rates]
     _bars(middle, conditions, [row.rate for row in rates], [row.interval for row in rates])
