@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from typing import TypeVar
 
 X = TypeVar("X")
@@ -23,3 +23,24 @@ def each(compute: Callable[[X], Y], of: Iterable[X]) -> Iterator[Y]:
     """
     with ThreadPoolExecutor(cores()) as pool:
         yield from pool.map(compute, of)
+
+
+def together(
+    compute: Callable[[X], Y], of: Iterable[X], at_once: int, stop: Callable[[], None]
+) -> list[Y]:
+    """What is computed of each, so many at once: long work, which can be asked to stop.
+
+    The first error, or Ctrl-C, stops the others: what runs is asked to, what has not begun is left,
+    and when all is still it is raised.
+    """
+    with ThreadPoolExecutor(at_once) as pool:
+        futures = [pool.submit(compute, one) for one in of]
+        try:
+            for future in wait(futures, return_when=FIRST_EXCEPTION).done:
+                future.result()
+            return [future.result() for future in futures]
+        except BaseException:
+            for future in futures:
+                future.cancel()
+            stop()
+            raise

@@ -3,7 +3,7 @@
 Open loop: there is no simulator to let them drive in. Shapes: m frames, n steps, A action.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import jax
@@ -38,6 +38,7 @@ def compared(
     key: Array,
     watch: Callable[[str, Training, Array], FitState],
     config: CloneConfig = clone.CPU,
+    each: Callable[..., Iterable[Clone]] = map,
 ) -> dict[str, Clone]:
     """{"recorded", "written": of the policy that is cloned from these frames}.
 
@@ -48,18 +49,21 @@ def compared(
       key: of both alike.
       watch: what the trainings pass through: a name, a training, the frames that it learns.
       config: of both.
+      each: maps over both, maybe side by side.
     """
-    found = {}
+    redraws: dict[str, Redraw] = {"recorded": np.copy, "written": view}
     step = np.arange(len(out)) - np.repeat(demos.first, demos.lengths)
     tested = np.flatnonzero(out & (step >= config.frames - 1))
     tested = tested[:: -(-len(tested) // _TEST)]
-    for name, redraw in {"recorded": np.copy, "written": view}.items():
-        frames = jnp.asarray(redraw(demos.frames[~out]))
+
+    def one(name: str) -> Clone:
+        frames = jnp.asarray(redraws[name](demos.frames[~out]))
         data = Demonstrations(frames, jnp.asarray(step[~out]), jnp.asarray(demos.actions[~out]))
-        training = clone.training(config, lambda data=data: data, len(frames), identity, {}, key)
+        training = clone.training(config, lambda: data, len(frames), identity, {}, key)
         policy = training.trained(watch(f"clone {name}", training, frames))
-        found[name] = _judged(policy, redraw, demos, tested, view.region)
-    return found
+        return _judged(policy, redraws[name], demos, tested, view.region)
+
+    return dict(zip(redraws, each(one, redraws), strict=True))
 
 
 def _judged(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxdeconf import threads
 from jaxdeconf.deconfound import first_latents, learn_latents, mask_latents
 from jaxdeconf.formats import find
 from jaxdeconf.formats.source import Names, Source
@@ -215,7 +216,9 @@ def _clones(this: Run, demos: Dataset, view: View) -> dict[str, Clone]:
     def watch(name: str, training: Training, frames: Array) -> FitState:
         return this.watch(name, training, data=frames)
 
-    return compared(demos, held_out(demos), view, this.key, watch)
+    at_once = machine.trainings(demos.frames.nbytes)
+    each = partial(threads.together, at_once=at_once, stop=this.interruption.stop)
+    return compared(demos, held_out(demos), view, this.key, watch, each=each)
 
 
 def _begin(demos: Dataset, checked: Check):

@@ -38,6 +38,10 @@ class Interruption:
         if self.asked:
             raise Interrupted(self.asked)
 
+    def stop(self) -> None:
+        """Asks for it, as a signal does."""
+        self._ask(signal.SIGTERM)
+
     @contextlib.contextmanager
     def listening(self, last_words: str) -> Iterator[None]:
         """Listens to signals instead of raising KeyboardInterrupt; `last_words` go with the second.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jax
 
+from jaxdeconf import threads
 from jaxdeconf.version import __version__
 
 
@@ -16,6 +17,18 @@ def free_memory() -> float:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES"))
     except (AttributeError, ValueError, OSError):  # no such name on macOS, no sysconf on Windows
         return 4e9
+
+
+def trainings(data_bytes: float) -> int:
+    """How many networks to train side by side: a CPU's cores and its memory allow several.
+
+    Args:
+      data_bytes: of what each is trained on.
+    """
+    if jax.default_backend() != "cpu":
+        return 1
+    # What is shown is made from frames of the same size, in turn from frames.
+    return max(1, min(threads.cores(), int(free_memory() // (4.0 * data_bytes))))
 
 
 def forget_programs(most: int = 30_000) -> None:

@@ -76,17 +76,19 @@ def run(
         driven = judge.drive(trial, policy, config.evaluate.training_rollouts)
         return [*judge.rollout_loss(trial, driven)[:2]]
 
-    clones = {f"clone {name}" for name in config.methods}
+    own = {f"clone {name}" for name in config.methods}
 
     def watch(name: str, training: Training) -> FitState:
-        if name not in clones:  # what a method learns before its policy
+        if name not in own:  # what a method learns before its policy
             return this.watch(name, training, collected)
         return this.watch(name, training, collected, config.evaluate.visits(training), drive)
 
-    policies = {
-        name: clone_policy(name, demos, evidence, this.key, config.clone, watch)
-        for name in config.methods
-    }
+    def clone(name: str) -> Policy:
+        return clone_policy(name, demos, evidence, this.key, config.clone, watch)
+
+    at_once = machine.trainings(demos.images.nbytes)
+    clones = threads.together(clone, config.methods, at_once, this.interruption.stop)
+    policies = dict(zip(config.methods, clones, strict=True))
     # After the last one is trained: what is resumed before then need not judge the first again.
     begin = time.perf_counter()
     judged, driven = _judge(this, trial, policies)

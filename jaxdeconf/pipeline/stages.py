@@ -5,8 +5,9 @@ that the page of the method, `deconfound`, leaves open.
 """
 
 import contextlib
+import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,7 @@ from jax import Array
 
 from jaxdeconf.learn.fit import FitState, Training, told
 from jaxdeconf.pipeline.checkpoint import fingerprint
+from jaxdeconf.pipeline.clock import Clock
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.store import Store
@@ -27,27 +29,35 @@ SAVE_SECONDS = 30.0
 
 @dataclass(frozen=True)
 class Run:
-    """A run in progress: the question, the disk and the screen, and what has come of it."""
+    """A run in progress: the question, the disk and the screen, and what has come of it.
+
+    Its stages may go on side by side, in threads.
+    """
 
     config: Any  # what the store holds it by, with a seed
     store: Store
     reporter: Reporter
     interruption: Interruption = field(default_factory=Interruption)
-    seconds: dict[str, float] = field(default_factory=dict)  # by stage
+    clock: Clock = field(default_factory=Clock)
     history: dict[str, list[list[float]]] = field(default_factory=dict)  # see `watch`
+    _beginning: threading.Lock = field(default_factory=threading.Lock)
 
     @property
     def key(self) -> Array:
         """The key that every random choice of the run follows from, by name."""
         return jax.random.key(self.config.seed)
 
+    @property
+    def seconds(self) -> dict[str, float]:
+        """By stage; see `Clock`."""
+        return self.clock.seconds
+
     @contextlib.contextmanager
     def timed(self, name: str) -> Iterator[None]:
         """A bar and a clock around what is done in one piece."""
         with self.reporter.bar(name, 1) as bar:
-            begin = time.perf_counter()
-            yield
-            self.seconds[name] = time.perf_counter() - begin
+            with self.clock.running(name):
+                yield
             bar.update(1, "")
 
     def stage(
@@ -63,7 +73,7 @@ class Run:
         saved = self.store.load(name, compute, made_from or {})
         if saved is not None:
             value, notes = saved
-            self.seconds[name] = notes["seconds"]
+            self.clock.seconds[name] = notes["seconds"]
             return value
         self.interruption.check()
         with self.timed(name):
@@ -94,47 +104,66 @@ class Run:
           FloatingPointError: at a loss or a weight that is not finite; that is not saved.
           Interrupted: after saving, if the run has been asked to stop.
         """
-        config, total = training.config, training.config.total_steps(training.samples)
-        per_epoch = config.steps_per_epoch(training.samples)
+        total = training.config.total_steps(training.samples)
         made_from = {"collect": fingerprint(data), "view": fingerprint(training.made_from)}
         # What a method trains before its policy is not gone through again for shapes.
         like = training.like or training.data
         saved = self.store.load(name, lambda: training.start(like()), made_from)
         state, notes = saved or (None, {"seconds": 0.0, "history": [], "losses": []})
-        done = int(state.step) if state else 0
-        if done < total:
-            begin, made = time.perf_counter() - notes["seconds"], training.data()
-            training = training._replace(data=lambda: made)  # a bar of its own is over by now
-            with self.reporter.bar(name, total, done) as bar:
-                chunks = bar.track(training.chunks(name, state, visits), config)
-                for state, metrics in chunks:
-                    notes["losses"] = [*notes["losses"], told(metrics)]
-                    visited = int(state.step) in (*visits, total)
-                    if visited:
-                        seen = visit(training.trained(state)) if visit else []
-                        point = [int(state.step) / per_epoch, float(np.mean(notes["losses"]))]
-                        notes |= {"history": [*notes["history"], [*point, *seen]], "losses": []}
-                    notes["seconds"] = time.perf_counter() - begin
-                    self._checkpoint(name, state, notes, made_from, visited)
-        self.seconds[name], self.history[name] = notes["seconds"], notes["history"]
-        assert state is not None
+        if state is None or int(state.step) < total:
+            with self.clock.running(name, notes["seconds"]):
+                made = training.data()
+                training = training._replace(data=lambda: made)  # a bar of its own is over by now
+                going_on = self._train(name, training, state, notes, visits, visit)
+                with contextlib.closing(going_on) as states:  # the bar is gone if this stops
+                    for state in states:
+                        self._save(name, state, notes, made_from)
+                        self.interruption.check()
+            assert state is not None
+        self.clock.seconds[name], self.history[name] = notes["seconds"], notes["history"]
         return state
 
-    def _checkpoint(
+    def _train(
         self,
         name: str,
-        state: FitState,
+        training: Training,
+        state: FitState | None,
         notes: dict[str, Any],
-        made_from: Mapping[str, str],
-        now: bool,
+        visits: Sequence[int],
+        visit: Callable[[Any], list[float]] | None,
+    ) -> Generator[FitState, None, None]:
+        """Goes on with a training and its notes; yields what is to be saved: where it is visited,
+        when the last save is long ago, and to stop."""
+        config, total = training.config, training.config.total_steps(training.samples)
+        per_epoch, saved_at = config.steps_per_epoch(training.samples), time.monotonic()
+        with self.reporter.bar(name, total, int(state.step) if state else 0) as bar:
+            chunks = self._first_alone(training.chunks(name, state, visits))
+            for reached, metrics in bar.track(chunks, config):
+                notes["losses"] = [*notes["losses"], told(metrics)]
+                visited = int(reached.step) in (*visits, total)
+                if visited:
+                    seen = visit(training.trained(reached)) if visit else []
+                    point = [int(reached.step) / per_epoch, float(np.mean(notes["losses"]))]
+                    notes |= {"history": [*notes["history"], [*point, *seen]], "losses": []}
+                late = time.monotonic() - saved_at > SAVE_SECONDS
+                if visited or late or self.interruption.asked:
+                    notes["seconds"] = self.clock.read(name)
+                    yield reached
+                    saved_at = time.monotonic()
+
+    def _first_alone(self, chunks: Iterator[Any]) -> Iterator[Any]:
+        """A training's chunks, of which the first compiles: what begins beside it then need not."""
+        with self._beginning:
+            first = next(chunks)
+        yield first
+        yield from chunks
+
+    def _save(
+        self, name: str, state: FitState, notes: dict[str, Any], made_from: Mapping[str, str]
     ) -> None:
-        """At a chunk's edge: saves `now`, when the last save is long ago, or to stop."""
-        late = time.monotonic() - self.store.saved_at > SAVE_SECONDS
-        if now or late or self.interruption.asked:
-            if not finite(state):
-                raise FloatingPointError(f"{name}, step {state.step}: weights are not finite")
-            self.store.save(name, int(state.step), state, notes, made_from)
-        self.interruption.check()
+        if not finite(state):
+            raise FloatingPointError(f"{name}, step {state.step}: weights are not finite")
+        self.store.save(name, int(state.step), state, notes, made_from)
 
 
 def finite(tree: Any) -> bool:

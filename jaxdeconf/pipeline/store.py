@@ -13,7 +13,6 @@ no claim.
 import contextlib
 import hashlib
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -58,7 +57,6 @@ class Store:
         """
         self.directory = directory
         self._home = home or directory
-        self.saved_at = time.monotonic()  # when it last saved
         wanted = json.dumps([__version__, to_plain(config)])
         self._identity = hashlib.sha256(wanted.encode()).hexdigest()
         (require_same if resume else begin)(directory, config)
@@ -89,7 +87,6 @@ class Store:
             checkpoint.write(folder, state, about)
         except OSError as error:
             raise _write_error(self._home, folder, error) from error
-        self.saved_at = time.monotonic()
 
     def load(
         self, stage: str, template: Callable[[], Any], made_from: Mapping[str, str]
@@ -131,7 +128,7 @@ class Nowhere(Store):
     """A store that keeps nothing."""
 
     def __init__(self) -> None:
-        self.saved_at = time.monotonic()
+        pass
 
     def save(self, *_: Any, **__: Any) -> None:  # noqa: D102
         pass

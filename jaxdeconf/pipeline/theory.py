@@ -1,5 +1,6 @@
 """The theory's experiments from a config to their results: each claim's rates, kept and resumed."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from jaxdeconf.pipeline.stages import Run
 from jaxdeconf.pipeline.store import Store, writing
 from jaxdeconf.theory import claims, pixels
 from jaxdeconf.theory.claims import ClaimsConfig, Rate
-from jaxdeconf.theory.pixels import Driven, PixelsConfig
+from jaxdeconf.theory.pixels import Condition, Driven, PixelsConfig
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,13 @@ def _on_pixels(this: Run, found: Theory) -> tuple[Theory, dict[str, np.ndarray]]
     config, key = this.config.pixels, this.key
     scene = pixels.prepare(config, key, this.stage, this.watch)
     rates = pixels.mask_rates(config, scene, key, this.stage)
-    of = [pixels.clone(config, scene, one, key, this.watch) for one in config.couplings]
+    data_bytes = 3.0 * scene.collected.expert.valid.size * math.prod(scene.system.size)
+
+    def clone(coupling: float) -> Condition:
+        return pixels.clone(config, scene, coupling, key, this.watch)
+
+    at_once = machine.trainings(data_bytes)
+    of = threads.together(clone, config.couplings, at_once, this.interruption.stop)
     driven = [*threads.each(lambda one: pixels.drive(scene, one, key), of)]
     strips = {f"{one.coupling:g}": one.shown for one in of}
     return found._replace(pixels=rates, driven=driven, square=scene.square), strips

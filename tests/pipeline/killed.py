@@ -4,6 +4,7 @@ WHEN is a number of seconds after the stage began, or its end if that comes firs
 `renamed`: just before, or just after, its second checkpoint comes to stand in its place.
 """
 
+import contextlib
 import os
 import signal
 import sys
@@ -12,7 +13,8 @@ import time
 from pathlib import Path
 
 from jaxdeconf.commands.main import main
-from jaxdeconf.pipeline import progress, run, stages
+from jaxdeconf.pipeline import run, stages
+from jaxdeconf.pipeline.progress import Reporter
 
 
 class Strike:
@@ -51,23 +53,23 @@ class Strike:
 
 def arm(strike):
     """Lets every stage tell when it begins and ends, and every checkpoint when it is renamed."""
-    rename, save = os.rename, run.save
+    rename, save, bar = os.rename, run.save, Reporter.bar
 
-    class Bar(progress.Bar):
-        def __enter__(self):
-            strike.begin(self._stage)
-            return super().__enter__()
-
-        def __exit__(self, *error):
-            strike.end(self._stage)
-            super().__exit__(*error)
+    @contextlib.contextmanager
+    def shown(self, stage, *steps):
+        strike.begin(stage)
+        try:
+            with bar(self, stage, *steps) as own:
+                yield own
+        finally:
+            strike.end(stage)
 
     def reporting(*arguments):
         strike.begin("save")
         save(*arguments)
         strike.end("save")
 
-    progress.Bar, run.save = Bar, reporting
+    Reporter.bar, run.save = shown, reporting
     os.rename = lambda source, place: strike.rename(rename, source, place)
 
 

@@ -102,6 +102,17 @@ def test_programs_are_forgotten_where_they_are_many():
     assert double(1.0) == 2.0
 
 
+@pytest.mark.parametrize(("data", "many"), [(1e6, 3), (0.5e9, 3), (1e9, 2), (2.5e9, 1), (1e12, 1)])
+def test_as_many_networks_train_at_once_as_cores_and_memory_allow(data, many, monkeypatch):
+    from jaxdeconf.pipeline import machine
+
+    monkeypatch.setattr(threads, "cores", lambda: 3)
+    monkeypatch.setattr(machine, "free_memory", lambda: 10e9)
+    assert machine.trainings(data) == many
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert machine.trainings(data) == 1
+
+
 def test_a_machine_that_does_not_say_is_no_fault(monkeypatch):
     """Reference: what macOS and Windows lack."""
     import os

@@ -23,7 +23,8 @@ def test_it_says_what_it_found_and_beside_it_a_line_a_stage(done):
     _, run = done
     stages = [line.split(": ")[0] for line in run.stderr.splitlines()]
     each = [f"clone {policy}" for policy in POLICIES]
-    assert stages == ["collect", "disentangle", "mask", *each, "judge"]
+    assert stages[:3] + stages[-1:] == ["collect", "disentangle", "mask", "judge"]
+    assert sorted(stages[3:-1]) == sorted(each)  # side by side
     assert re.search(r"^clone Masked: \d+\.\d s, loss \d", run.stderr, re.MULTILINE)
     assert run.stdout.startswith("cartpole, preset smoke with ")
     assert "seed 0" in run.stdout.splitlines()[0]
