@@ -37,13 +37,11 @@ def _redraw(directory: Path) -> Path:
     from jaxdeconf.pipeline.results import finished
     from jaxdeconf.pipeline.theory import Theory
     from jaxdeconf.report import compare, owndata, run, sweep, theory
-    from jaxdeconf.sweep.grid import METHODS_AXIS
     from jaxdeconf.sweep.log import Log, read_sweep
 
     if (directory / "sweep.json").exists():
         held = read_sweep(directory)
-        of_methods = any(axis.name == METHODS_AXIS for axis in held.axes)
-        (compare if of_methods else sweep).write(directory, held, Log(directory).rows())
+        (compare if held.compares else sweep).write(directory, held, Log(directory).rows())
         return directory / "report.html"
     kinds = {Found: owndata, Theory: theory}
     found = (report for kind, report in kinds.items() if finished(directory, kind))

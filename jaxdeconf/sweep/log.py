@@ -21,7 +21,7 @@ from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.plain import UNREADABLE, from_plain, to_plain, write_json
 from jaxdeconf.pipeline.results import Row
 from jaxdeconf.pipeline.store import StoreError, read_stamped, reading, stamped, writing
-from jaxdeconf.sweep.grid import Axis, Point, points
+from jaxdeconf.sweep.grid import METHODS_AXIS, Axis, Point, points
 
 _MOST_POINTS = 100_000  # beyond, it is a slip: even to plan them would take minutes
 
@@ -38,6 +38,11 @@ class Sweep:
         checks.integer("seeds", self.seeds, most=2**32 - self.base.seed)
         count = self.seeds * math.prod(len(axis.values) for axis in self.axes)
         checks.integer("points of the grid", count, most=_MOST_POINTS)
+
+    @property
+    def compares(self) -> bool:
+        """Whether it puts methods side by side."""
+        return any(axis.name == METHODS_AXIS for axis in self.axes)
 
     @property
     def points(self) -> list[Point]:

@@ -10,14 +10,13 @@ import numpy as np
 from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE
 from jaxdeconf.pipeline.results import Sight
 from jaxdeconf.pipeline.store import writing
-from jaxdeconf.sweep.grid import METHODS_AXIS, Point
+from jaxdeconf.sweep.grid import Point
 from jaxdeconf.sweep.log import Sweep
 
 
 def asked(sweep: Sweep, point: Point) -> bool:
     """Whether a point's are to be kept: those that a comparison's report shows."""
-    compared = any(axis.name == METHODS_AXIS for axis in sweep.axes)
-    return compared and point.config.seed == sweep.base.seed
+    return sweep.compares and point.config.seed == sweep.base.seed
 
 
 def keep(directory: Path, point: int, sight: Sight) -> None:

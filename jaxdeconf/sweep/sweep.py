@@ -197,9 +197,10 @@ def _judge(work: Work, policies: Sequence[tuple[Point, Job, Trained]]) -> list[J
         policy = job.training.trained(jax.tree.map(jnp.asarray, trained.state))
         trial = data_of(work, point.config).trial
         found, _ = judge.judge_policy(trial, policy, trained.loss)
-        found, sight = judge.compared(trial, policy, found)
-        if sights.asked(work.sweep, point):
-            sights.keep(work.log.directory, point.index, sight)
+        if work.sweep.compares:
+            found, sight = judge.compared(trial, policy, found)
+            if sights.asked(work.sweep, point):
+                sights.keep(work.log.directory, point.index, sight)
         return jax.tree.leaves(found)
 
     share = range(jax.process_index(), len(policies), count)
