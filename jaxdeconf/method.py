@@ -115,6 +115,11 @@ class Method(NamedTuple):
     price: Callable[[int, int], Price] | None = None
 
     @property
+    def needs_latents(self) -> bool:
+        """Whether the β-VAE comes before it."""
+        return not {"encoder", "mask", "region"}.isdisjoint(self.needs)
+
+    @property
     def kind_of_data(self) -> tuple[Any, ...]:
         """Equal for methods whose data, and variables, have the same fields."""
         return self.data, self.extra, self.begin

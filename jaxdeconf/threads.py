@@ -25,16 +25,14 @@ def each(compute: Callable[[X], Y], of: Iterable[X]) -> Iterator[Y]:
         yield from pool.map(compute, of)
 
 
-def together(
-    compute: Callable[[X], Y], of: Iterable[X], at_once: int, stop: Callable[[], None]
-) -> list[Y]:
-    """What is computed of each, so many at once: long work, which can be asked to stop.
+def together(jobs: Iterable[Callable[[], Y]], at_once: int, stop: Callable[[], None]) -> list[Y]:
+    """What jobs return, so many of them at once: long ones, which can be asked to stop.
 
     The first error, or Ctrl-C, stops the others: what runs is asked to, what has not begun is left,
     and when all is still it is raised.
     """
     with ThreadPoolExecutor(at_once) as pool:
-        futures = [pool.submit(compute, one) for one in of]
+        futures = [pool.submit(job) for job in jobs]
         try:
             for future in wait(futures, return_when=FIRST_EXCEPTION).done:
                 future.result()

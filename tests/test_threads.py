@@ -2,10 +2,15 @@
 
 import threading
 import time
+from functools import partial
 
 import pytest
 
 from jaxdeconf import threads
+
+
+def jobs(compute, count):
+    return [partial(compute, x) for x in range(count)]
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 3])
@@ -21,7 +26,7 @@ def test_so_many_go_on_at_once_and_come_back_in_order(at_once):
             going[0] -= 1
         return x * x
 
-    assert threads.together(compute, range(6), at_once, pytest.fail) == [0, 1, 4, 9, 16, 25]
+    assert threads.together(jobs(compute, 6), at_once, pytest.fail) == [0, 1, 4, 9, 16, 25]
     assert most[0] == at_once
 
 
@@ -39,6 +44,6 @@ def test_the_first_error_stops_the_others_and_is_raised(error):
         raise RuntimeError("stopped as asked")
 
     with pytest.raises(error, match="loss is nan"):
-        threads.together(compute, range(4), 2, stop.set)
+        threads.together(jobs(compute, 4), 2, stop.set)
     assert ended == begun[:1] == [0]
     assert 3 not in begun

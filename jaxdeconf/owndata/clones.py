@@ -3,7 +3,8 @@
 Open loop: there is no simulator to let them drive in. Shapes: m frames, n steps, A action.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -31,6 +32,11 @@ class Clone(NamedTuple):
     copycat: float | None
 
 
+def in_turn(jobs: list[Callable[[], Clone]]) -> list[Clone]:
+    """One after the other."""
+    return [job() for job in jobs]
+
+
 def compared(
     demos: Dataset,
     out: np.ndarray,
@@ -38,7 +44,7 @@ def compared(
     key: Array,
     watch: Callable[[str, Training, Array], FitState],
     config: CloneConfig = clone.CPU,
-    each: Callable[..., Iterable[Clone]] = map,
+    together: Callable[[list[Callable[[], Clone]]], list[Clone]] = in_turn,
 ) -> dict[str, Clone]:
     """{"recorded", "written": of the policy that is cloned from these frames}.
 
@@ -49,7 +55,7 @@ def compared(
       key: of both alike.
       watch: what the trainings pass through: a name, a training, the frames that it learns.
       config: of both.
-      each: maps over both, maybe side by side.
+      together: does both, maybe side by side.
     """
     redraws: dict[str, Redraw] = {"recorded": np.copy, "written": view}
     step = np.arange(len(out)) - np.repeat(demos.first, demos.lengths)
@@ -63,7 +69,8 @@ def compared(
         policy = training.trained(watch(f"clone {name}", training, frames))
         return _judged(policy, redraws[name], demos, tested, view.region)
 
-    return dict(zip(redraws, each(one, redraws), strict=True))
+    done = together([partial(one, name) for name in redraws])
+    return dict(zip(redraws, done, strict=True))
 
 
 def _judged(

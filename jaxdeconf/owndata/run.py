@@ -217,8 +217,8 @@ def _clones(this: Run, demos: Dataset, view: View) -> dict[str, Clone]:
         return this.watch(name, training, data=frames)
 
     at_once = machine.trainings(demos.frames.nbytes)
-    each = partial(threads.together, at_once=at_once, stop=this.interruption.stop)
-    return compared(demos, held_out(demos), view, this.key, watch, each=each)
+    together = partial(threads.together, at_once=at_once, stop=this.interruption.stop)
+    return compared(demos, held_out(demos), view, this.key, watch, together=together)
 
 
 def _begin(demos: Dataset, checked: Check):

@@ -1,10 +1,11 @@
 """One run from a config to its results: collect, disentangle, mask, clone, evaluate."""
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax import Array
@@ -67,37 +68,61 @@ def run(
     this = Run(config, store, reporter or Reporter(), interruption or Interruption())
     collected = this.stage("collect", lambda: collect_for(config, system, this.key))
     trial = judge.trial(system, this.key, collected)
-    encoder, mask = deconfounded(this, trial)
-    region = region_for(trial, encoder, mask.mask, config.methods)
-    evidence = evidence_for(config, trial, encoder, mask.mask, region)
-    demos = demonstrations_for(config, system, collected)
-
-    def drive(policy) -> list[float]:
-        driven = judge.drive(trial, policy, config.evaluate.training_rollouts)
-        return [*judge.rollout_loss(trial, driven)[:2]]
-
-    own = {f"clone {name}" for name in config.methods}
-
-    def watch(name: str, training: Training) -> FitState:
-        if name not in own:  # what a method learns before its policy
-            return this.watch(name, training, collected)
-        return this.watch(name, training, collected, config.evaluate.visits(training), drive)
-
-    def clone(name: str) -> Policy:
-        return clone_policy(name, demos, evidence, this.key, config.clone, watch)
-
-    at_once = machine.trainings(demos.images.nbytes)
-    clones = threads.together(clone, config.methods, at_once, this.interruption.stop)
-    policies = dict(zip(config.methods, clones, strict=True))
+    latents, policies = _trained(this, trial)
     # After the last one is trained: what is resumed before then need not judge the first again.
     begin = time.perf_counter()
     judged, driven = _judge(this, trial, policies)
-    found = _results(this, trial, encoder, mask, region, judged)
-    pictures = judge.pictures(trial, encoder, region, policies, driven)
+    found = _results(this, trial, latents, judged)
+    pictures = judge.pictures(trial, latents.encoder, latents.region, policies, driven)
     found.seconds["judge"] = time.perf_counter() - begin
     with writing(directory):
         save(directory, found, pictures)
     return found
+
+
+class Latents(NamedTuple):
+    """What is learnt of the frames alone."""
+
+    encoder: Encoder
+    mask: Mask
+    region: Array | None  # [H, W] bool, the pixels that masked latents reach, if a method asks
+
+
+def _trained(this: Run, trial: Trial) -> tuple[Latents, dict[str, Policy]]:
+    """The latents and the policies, side by side: whichever needs no latents, beside the β-VAE."""
+    config, demos = this.config, demonstrations_for(this.config, trial.system, trial.collected)
+    at_once, stop = machine.trainings(demos.images.nbytes), this.interruption.stop
+    clone = partial(_clone, this, trial, demos)
+
+    def learn() -> Latents:
+        encoder, mask = deconfounded(this, trial)
+        return Latents(encoder, mask, region_for(trial, encoder, mask.mask, config.methods))
+
+    after = [name for name in config.methods if METHODS[name].needs_latents]
+    beside = [name for name in config.methods if name not in after]
+    known = evidence_for(config, trial)
+    jobs: list[Callable[[], Any]] = [learn, *(partial(clone, name, known) for name in beside)]
+    latents, *first = threads.together(jobs, at_once, stop)
+    known = evidence_for(config, trial, latents.encoder, latents.mask.mask, latents.region)
+    last = threads.together([partial(clone, name, known) for name in after], at_once, stop)
+    policies = dict(zip([*beside, *after], [*first, *last], strict=True))
+    return latents, {name: policies[name] for name in config.methods}
+
+
+def _clone(this: Run, trial: Trial, demos: Demos, name: str, evidence: Evidence) -> Policy:
+    """A method's policy, which drives now and then while it is trained."""
+    config = this.config
+
+    def drive(policy: Policy) -> list[float]:
+        driven = judge.drive(trial, policy, config.evaluate.training_rollouts)
+        return [*judge.rollout_loss(trial, driven)[:2]]
+
+    def watch(stage: str, training: Training) -> FitState:
+        if stage != f"clone {name}":  # what a method learns before its policy
+            return this.watch(stage, training, trial.collected)
+        return this.watch(stage, training, trial.collected, config.evaluate.visits(training), drive)
+
+    return clone_policy(name, demos, evidence, this.key, config.clone, watch)
 
 
 def _judge(
@@ -152,7 +177,11 @@ def region_for(
 
 
 def evidence_for(
-    config: Config, trial: Trial, encoder: Encoder, mask: Array, region: Array | None
+    config: Config,
+    trial: Trial,
+    encoder: Encoder | None = None,
+    mask: Array | None = None,
+    region: Array | None = None,
 ) -> Evidence:
     """What a method may be made from; a simulator knows all there is."""
     cover = getattr(trial.system.nuisance, "cover", None)
@@ -160,15 +189,8 @@ def evidence_for(
     return Evidence(encoder, mask, region, cover, simulator.label, trial.held_out, simulator)
 
 
-def _results(
-    this: Run,
-    trial: Trial,
-    encoder: Encoder,
-    mask: Mask,
-    region: Array | None,
-    judged: dict[str, Judged],
-) -> Results:
-    config, system = this.config, trial.system
+def _results(this: Run, trial: Trial, learnt: Latents, judged: dict[str, Judged]) -> Results:
+    config, system, (encoder, mask, region) = this.config, trial.system, learnt
     latents = judge.judge_latents(trial, encoder)
     return Results(
         system=system.name,

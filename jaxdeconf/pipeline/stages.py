@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxdeconf.learn.fit import FitState, Training, told
+from jaxdeconf.learn.fit import FitState, Objective, Training, told
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.clock import Clock
 from jaxdeconf.pipeline.interruption import Interruption
@@ -40,7 +40,7 @@ class Run:
     interruption: Interruption = field(default_factory=Interruption)
     clock: Clock = field(default_factory=Clock)
     history: dict[str, list[list[float]]] = field(default_factory=dict)  # see `watch`
-    _beginning: threading.Lock = field(default_factory=threading.Lock)
+    _beginning: dict[Objective, threading.Lock] = field(default_factory=dict)
 
     @property
     def key(self) -> Array:
@@ -137,7 +137,7 @@ class Run:
         config, total = training.config, training.config.total_steps(training.samples)
         per_epoch, saved_at = config.steps_per_epoch(training.samples), time.monotonic()
         with self.reporter.bar(name, total, int(state.step) if state else 0) as bar:
-            chunks = self._first_alone(training.chunks(name, state, visits))
+            chunks = self._first_alone(training.objective, training.chunks(name, state, visits))
             for reached, metrics in bar.track(chunks, config):
                 notes["losses"] = [*notes["losses"], told(metrics)]
                 visited = int(reached.step) in (*visits, total)
@@ -151,9 +151,9 @@ class Run:
                     yield reached
                     saved_at = time.monotonic()
 
-    def _first_alone(self, chunks: Iterator[Any]) -> Iterator[Any]:
+    def _first_alone(self, objective: Objective, chunks: Iterator[Any]) -> Iterator[Any]:
         """A training's chunks, of which the first compiles: what begins beside it then need not."""
-        with self._beginning:
+        with self._beginning.setdefault(objective, threading.Lock()):
             first = next(chunks)
         yield first
         yield from chunks

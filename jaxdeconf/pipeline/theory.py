@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from jaxdeconf.pipeline.stages import Run
 from jaxdeconf.pipeline.store import Store, writing
 from jaxdeconf.theory import claims, pixels
 from jaxdeconf.theory.claims import ClaimsConfig, Rate
-from jaxdeconf.theory.pixels import Condition, Driven, PixelsConfig
+from jaxdeconf.theory.pixels import Driven, PixelsConfig
 
 
 @dataclass(frozen=True)
@@ -103,11 +104,9 @@ def _on_pixels(this: Run, found: Theory) -> tuple[Theory, dict[str, np.ndarray]]
     rates = pixels.mask_rates(config, scene, key, this.stage)
     data_bytes = 3.0 * scene.collected.expert.valid.size * math.prod(scene.system.size)
 
-    def clone(coupling: float) -> Condition:
-        return pixels.clone(config, scene, coupling, key, this.watch)
-
     at_once = machine.trainings(data_bytes)
-    of = threads.together(clone, config.couplings, at_once, this.interruption.stop)
+    clones = [partial(pixels.clone, config, scene, c, key, this.watch) for c in config.couplings]
+    of = threads.together(clones, at_once, this.interruption.stop)
     driven = [*threads.each(lambda one: pixels.drive(scene, one, key), of)]
     strips = {f"{one.coupling:g}": one.shown for one in of}
     return found._replace(pixels=rates, driven=driven, square=scene.square), strips
