@@ -29,8 +29,10 @@ def together(jobs: Iterable[Callable[[], Y]], at_once: int, stop: Callable[[], N
     """What jobs return, so many of them at once: long ones, which can be asked to stop.
 
     The first error, or Ctrl-C, stops the others: what runs is asked to, what has not begun is left,
-    and when all is still it is raised.
+    and when all is still it is raised. One at a time, they run in the caller's own thread.
     """
+    if at_once == 1:
+        return [job() for job in jobs]
     with ThreadPoolExecutor(at_once) as pool:
         futures = [pool.submit(job) for job in jobs]
         try:

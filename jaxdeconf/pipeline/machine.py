@@ -27,7 +27,7 @@ def trainings(data_bytes: float) -> int:
     """
     if jax.default_backend() != "cpu":
         return 1
-    # What is shown is made from frames of the same size, in turn from frames.
+    # Beside these frames each has those that its view makes of them, and what making them takes.
     return max(1, min(threads.cores(), int(free_memory() // (4.0 * data_bytes))))
 
 

@@ -47,8 +47,8 @@ class Judged(NamedTuple):
     # Error of telling an action from the one before, on its rollouts over that on the expert's:
     # below 1 is a copycat (Wen et al. 2020).
     predictability: float = float("nan")
-    # Two of comparisons alone. The mean derivative of the action with respect to the one
-    # that the nuisance shows:
+    # Two of comparisons alone. The mean derivative of the action with respect to the one that the
+    # nuisance shows:
     copycat_slope: float = float("nan")
     # And HSCIC, on the expert's rollouts, of its action and the expert's one before, given the
     # expert's own action (Seo et al. 2023): 0 is none of the one before left.
