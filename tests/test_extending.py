@@ -24,6 +24,7 @@ from jaxdeconf.pipeline import results
 from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.report import compare
+from jaxdeconf.report import sweep as sweep_report
 from jaxdeconf.report.run import write_report
 from jaxdeconf.sweep import sights
 from jaxdeconf.sweep.grid import Axis
@@ -96,9 +97,12 @@ def blurred():
 
 
 def grid(config):
-    """Methods side by side, behind two masks."""
-    methods = Axis("methods", tuple((name,) for name in config.methods))
-    return Sweep(config, (Axis("mask.threshold", (1e-3, 0.4)), methods))
+    axes = Axis("mask.threshold", (1e-3, 0.4)), Axis("clone.learning_rate", (1e-3, 3e-3))
+    return Sweep(config, axes)
+
+
+def comparison(config):
+    return Sweep(config, (Axis("methods", tuple((name,) for name in config.methods)),))
 
 
 def run_and_sweep(place):
@@ -107,9 +111,9 @@ def run_and_sweep(place):
     system = imported(place / "pendulum.py")
     config = replace(CONFIG, methods=("Blurred", "Masked"))
     jd.run(config, system, place / "run", QUIET)
-    write_sweep(place / "sweep", grid(config))
-    log = Log(place / "sweep")
-    sweep(grid(config), log, QUIET, Interruption(), 1e9, system=system)
+    for name, asked in (("sweep", grid(config)), ("comparison", comparison(config))):
+        write_sweep(place / name, asked)
+        sweep(asked, Log(place / name), QUIET, Interruption(), 1e9, system=system)
 
 
 @pytest.mark.slow
@@ -133,24 +137,26 @@ def test_a_system_and_a_method_of_ones_own_go_through_run_report_and_sweep(
     assert "Blurred" in page
 
     rows = Log(tmp_path / "sweep").rows()
-    assert [(row.point, *row.policies) for row in rows] == [
-        *((0, "Blurred"), (1, "Masked"), (2, "Blurred"), (3, "Masked"))
-    ]
+    assert [row.point for row in rows] == [0, 1, 2, 3]
     # A point is the run with its config; what does not look at the mask is cloned once for both.
-    for row, (method, judged) in zip(rows, found.policies.items(), strict=False):
-        own = row.policies[method]
+    for method, judged in found.policies.items():
+        own = rows[0].policies[method]
         assert own.rollout_loss.mean == pytest.approx(judged.rollout_loss.mean, rel=1e-3)
         assert own.copycat == pytest.approx(judged.copycat, rel=1e-3, abs=1e-6)
     assert rows[0].policies["Blurred"] == rows[2].policies["Blurred"]
-    sight = sights.kept(tmp_path / "sweep", 0)
+    assert rows[0].policies["Blurred"] != rows[1].policies["Blurred"]
+    config = replace(CONFIG, methods=("Blurred", "Masked"))
+    said = sweep_report.write(tmp_path / "sweep", grid(config), rows)
+    assert "Blurred" in said
+
+    place = tmp_path / "comparison"
+    sight = sights.kept(place, 0)
     assert sight.seen.shape == (3, 32, 48, 3)
     assert sight.salient.shape == (3, 32, 48)
     assert sight.salient.any()
-    config = replace(CONFIG, methods=("Blurred", "Masked"))
-    said = compare.write(tmp_path / "sweep", grid(config), rows)
+    said = compare.write(place, comparison(config), Log(place).rows())
     assert "Blurred" in said
-    for scene in "01":
-        assert (tmp_path / "sweep" / "figures" / scene / "sights.png").stat().st_size > 5000
+    assert (place / "figures" / "0" / "sights.png").stat().st_size > 5000
 
 
 def test_a_system_that_does_not_fit_is_refused_before_anything_is_collected(pendulum, tmp_path):
