@@ -26,6 +26,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxdeconf.independence.eigen import eigenvalues
 from jaxdeconf.independence.null import quantile
 from jaxdeconf.independence.ranks import Ranks, rank_on_device
 from jaxdeconf.independence.table import both_columns
@@ -122,5 +123,5 @@ def _features(ranks: Ranks) -> tuple[Array, Array]:
 
 def _eigenvalues(covariance: Array) -> Array:
     """[..., K] of covariances of features [..., K, K], without what is rounding."""
-    found = jnp.linalg.eigvalsh(covariance)
+    found = eigenvalues(covariance)
     return jnp.where(found > _ROUNDING, found, 0.0)

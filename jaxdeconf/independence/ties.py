@@ -31,6 +31,7 @@ from jax import Array
 from jax.scipy.special import gammaln
 from jax.typing import ArrayLike
 
+from jaxdeconf.independence.eigen import eigenvalues
 from jaxdeconf.independence.null import quantile
 from jaxdeconf.independence.pairs import Statistic
 from jaxdeconf.independence.ranks import Ranks, rank_on_device, rank_on_host
@@ -145,11 +146,11 @@ def _columns(ranks: Ranks) -> _Columns:
     harmonic = jnp.arange(1, HARMONICS + 1)[:, None]
     features = jnp.sqrt(2.0) / (jnp.pi * harmonic) * jnp.stack(cosines[1:], axis=1)
     features = features - features.mean(axis=-1, keepdims=True)
-    eigenvalues = jnp.linalg.eigvalsh(features @ features.swapaxes(1, 2) / n)[:, -EIGENVALUES:]
+    largest = eigenvalues(features @ features.swapaxes(1, 2) / n)[:, -EIGENVALUES:]
     most = jnp.take_along_axis(first, jax.lax.argmax(sharing, 1, jnp.int32)[:, None], axis=1)
     return _Columns(
         features=features,
-        eigenvalues=jnp.where(eigenvalues > 1e-15, eigenvalues, 0.0),  # the others are rounding
+        eigenvalues=jnp.where(largest > 1e-15, largest, 0.0),  # the others are rounding
         trace=(features**2).mean(axis=-1).sum(axis=-1),
         rare=(first != most).astype(float),
         tied=tied,

@@ -100,8 +100,6 @@ def _on_pixels(this: Run, found: Theory) -> tuple[Theory, dict[str, np.ndarray]]
     config, key = this.config.pixels, this.key
     scene = pixels.prepare(config, key, this.stage, this.watch)
     rates = pixels.mask_rates(config, scene, key, this.stage)
-    # One after the other: each masks first, and two batches of eigenvalues at a time wait for one
-    # another for ever (jaxlib 0.10: LAPACK's batches block the threads that they wait for).
     of = [pixels.clone(config, scene, one, key, this.watch) for one in config.couplings]
     driven = [*threads.each(lambda one: pixels.drive(scene, one, key), of)]
     strips = {f"{one.coupling:g}": one.shown for one in of}
