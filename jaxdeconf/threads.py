@@ -25,7 +25,9 @@ def each(compute: Callable[[X], Y], of: Iterable[X]) -> Iterator[Y]:
         yield from pool.map(compute, of)
 
 
-def together(jobs: Iterable[Callable[[], Y]], at_once: int, stop: Callable[[], None]) -> list[Y]:
+def together(
+    jobs: Iterable[Callable[[], Y]], at_once: int = 1, stop: Callable[[], None] = lambda: None
+) -> list[Y]:
     """What jobs return, so many of them at once: long ones, which can be asked to stop.
 
     The first error, or Ctrl-C, stops the others: what runs is asked to, what has not begun is left,

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxdeconf import threads
 from jaxdeconf.formats.source import Redraw
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations, Policy
@@ -32,11 +33,6 @@ class Clone(NamedTuple):
     copycat: float | None
 
 
-def in_turn(jobs: list[Callable[[], Clone]]) -> list[Clone]:
-    """One after the other."""
-    return [job() for job in jobs]
-
-
 def compared(
     demos: Dataset,
     out: np.ndarray,
@@ -44,7 +40,7 @@ def compared(
     key: Array,
     watch: Callable[[str, Training, Array], FitState],
     config: CloneConfig = clone.CPU,
-    together: Callable[[list[Callable[[], Clone]]], list[Clone]] = in_turn,
+    together: Callable[[list[Callable[[], Clone]]], list[Clone]] = threads.together,
 ) -> dict[str, Clone]:
     """{"recorded", "written": of the policy that is cloned from these frames}.
 
@@ -55,7 +51,7 @@ def compared(
       key: of both alike.
       watch: what the trainings pass through: a name, a training, the frames that it learns.
       config: of both.
-      together: does both, maybe side by side.
+      together: does both, one after the other or side by side.
     """
     redraws: dict[str, Redraw] = {"recorded": np.copy, "written": view}
     step = np.arange(len(out)) - np.repeat(demos.first, demos.lengths)

@@ -7,6 +7,7 @@ expected.
 import json
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import UnionType
@@ -77,4 +78,13 @@ def write_json(file: Path, value: Any) -> None:
     partial = file.with_name(file.name + PARTIAL)
     text = json.dumps(to_plain(value), indent=1, allow_nan=False)
     partial.write_text(text + "\n", encoding="utf-8")
+    os.replace(partial, file)
+
+
+def write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Replaces an npz file of arrays, as `write_json` does."""
+    partial = file.with_name(file.name + PARTIAL)
+    named: dict[str, Any] = dict(arrays)
+    with partial.open("wb") as opened:
+        np.savez_compressed(opened, **named)
     os.replace(partial, file)

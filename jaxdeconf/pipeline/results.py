@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE, from_plain, write_json
+from jaxdeconf.pipeline.plain import UNREADABLE, from_plain, write_arrays, write_json
 
 FILE, PICTURES = "results.json", "pictures.npz"
 
@@ -160,10 +160,7 @@ SAME, APART = 0.9, 0.1
 
 def save(directory: Path, results: NamedTuple, pictures: Pictures) -> None:
     """Writes results.json and pictures.npz, each in one step; the results last: they end a run."""
-    partial = directory / (PICTURES + PARTIAL)
-    with partial.open("wb") as file:
-        np.savez_compressed(file, **dict(_flat(pictures)))  # type: ignore
-    partial.replace(directory / PICTURES)
+    write_arrays(directory / PICTURES, dict(_flat(pictures)))
     write_json(directory / FILE, results)
 
 

@@ -1,4 +1,4 @@
-"""A comparison's figure; see `canvas`. Loads matplotlib."""
+"""A comparison's figures; see `canvas`. Loads matplotlib."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxdeconf.pipeline.plain import PARTIAL, UNREADABLE
+from jaxdeconf.pipeline.plain import UNREADABLE, write_arrays
 from jaxdeconf.pipeline.results import Sight
 from jaxdeconf.pipeline.store import writing
 from jaxdeconf.sweep.grid import Point
@@ -28,10 +28,7 @@ def keep(directory: Path, point: int, sight: Sight) -> None:
     file = _file(directory, point)
     with writing(directory):
         file.parent.mkdir(parents=True, exist_ok=True)
-        partial = file.with_name(file.name + PARTIAL)
-        with partial.open("wb") as opened:
-            np.savez_compressed(opened, **sight._asdict())
-        partial.replace(file)
+        write_arrays(file, sight._asdict())
 
 
 def kept(directory: Path, point: int) -> Sight | None:
