@@ -28,6 +28,7 @@ class Grid(NamedTuple):
     blocks: int  # B, of a pair
     pairs: int
     lanes: int
+    unroll: bool = True  # see `over_rows`
 
     @property
     def size(self) -> int:
@@ -82,12 +83,12 @@ def plan(n: int, pairs: int, platform: str) -> Grid:
     blocks = base ** (levels - 1)
     if pairs == 1 or (levels > 2 and platform == "cpu"):
         halves = base * base // 2 if levels > 3 and platform == "cpu" else blocks // 2
-        return Grid(base, blocks, 1, halves)
+        return Grid(base, blocks, 1, halves, platform == "cpu")
     width = 8 if platform == "cpu" else max(1, 2**24 // base**levels)  # pairs in a tile
     while width > 1 and pairs <= width:
         width //= 2
     tiles = min(4, -(-pairs // width))
-    return Grid(base, blocks, width * tiles, width * blocks)
+    return Grid(base, blocks, width * tiles, width * blocks, platform == "cpu")
 
 
 def count_below(
@@ -101,7 +102,12 @@ def count_below(
       grid: the layout.
       weights: [T, K, W] int32 in x-order; without them the sum is 0, and costs nothing.
     """
-    base = grid.base
+    base, unroll = grid.base, grid.unroll
+    of_digits = partial(histogram, size=base, unroll=unroll)
+    count_less = partial(_count_earlier, compare=jnp.less, unroll=unroll)
+    count_equal = partial(_count_earlier, compare=jnp.equal, unroll=unroll)
+    weigh_digits = partial(_weigh_digits, unroll=unroll)
+    weigh_less = partial(_weigh_less, unroll=unroll)
     pair, block = grid.block_numbers()
     count, weight = jnp.zeros(p.shape, jnp.int32), jnp.zeros(p.shape, jnp.int64)
     run_blocks = grid.blocks  # blocks of one run of the level above
@@ -111,22 +117,22 @@ def count_below(
         place = grid.place(pair, run * run_blocks * base + p)
         if run_blocks < grid.blocks:
             digits = _scatter(place, jnp.broadcast_to(digit, place.shape).astype(jnp.uint8))
-        equal, less = cumulative(tiled(partial(histogram, size=base), digits), grid, run_blocks)
+        equal, less = cumulative(tiled(of_digits, digits), grid, run_blocks)
         cell = (digit * run_blocks + p // base) * less.shape[-1]
         cell = cell + pair * (grid.blocks // run_blocks) + run
-        count = count + take(less, cell) + take(tiled(_count_less, digits), place)
+        count = count + take(less, cell) + take(tiled(count_less, digits), place)
         if weights is not None:
             stream = _scatter(place, weights)
-            heavier = cumulative(tiled(_weigh_digits, (digits, stream)), grid, run_blocks)[1]
+            heavier = cumulative(tiled(weigh_digits, (digits, stream)), grid, run_blocks)[1]
             weight = weight + take(heavier, cell)
-            weight = weight + take(tiled(_weigh_less, (digits, stream)), place)
+            weight = weight + take(tiled(weigh_less, (digits, stream)), place)
         if run_blocks > base:
-            p = take(equal, cell) + take(tiled(_count_equal, digits), place)
+            p = take(equal, cell) + take(tiled(count_equal, digits), place)
         run_blocks //= base
     p = p.astype(jnp.uint16)
     if weights is not None:
-        weight = weight + tiled(_weigh_less, (p, weights))
-    return count + tiled(_count_less, p), weight
+        weight = weight + tiled(weigh_less, (p, weights))
+    return count + tiled(count_less, p), weight
 
 
 def cumulative(histograms: Array, grid: Grid, run_blocks: int) -> tuple[Array, Array]:
@@ -158,51 +164,56 @@ def tiled(function: Callable, blocks: Array | tuple[Array, Array]) -> Array:
     return jax.lax.map(function, blocks)
 
 
-def _count_less(block: Array) -> Array:
-    return _count_earlier(block, jnp.less)
+def over_rows(term: Callable[..., Array], *rows: Array, unroll: bool) -> Array:
+    """Sums term(k, the k-th of rows [K, ...]) over k, on a CPU unrolled: one vector loop.
+
+    Elsewhere as a reduction: loops that long take a GPU seconds to compile.
+    """
+    number = jnp.arange(rows[0].shape[0], dtype=jnp.uint8)
+    if not unroll:
+        terms = jax.vmap(term)(number, *(part[:, None] for part in rows))
+        return terms.sum(axis=0, dtype=terms.dtype)
+    total = term(0, *(part[:1] for part in rows))
+    for k in range(1, len(number)):
+        total = total + term(k, *(part[k : k + 1] for part in rows))
+    return total
 
 
-def _count_equal(block: Array) -> Array:
-    return _count_earlier(block, jnp.equal)
+def _count_earlier(block: Array, compare: Callable[[Array, Array], Array], unroll: bool) -> Array:
+    """[K, W] uint8: earlier rows that compare to the row."""
+    row = _numbers(block)
+    return over_rows(
+        lambda k, one: (compare(one, block) & (row > k)).astype(jnp.uint8), block, unroll=unroll
+    )
 
 
-def _count_earlier(block: Array, compare: Callable[[Array, Array], Array]) -> Array:
-    """[K, W] uint8: earlier rows that compare to the row. Unrolled, it is one vector loop."""
-    row = jnp.arange(block.shape[0], dtype=jnp.uint8)[:, None]
-    count = jnp.zeros(block.shape, jnp.uint8)
-    for k in range(block.shape[0]):
-        count = count + (compare(block[k : k + 1], block) & (row > k)).astype(jnp.uint8)
-    return count
-
-
-def histogram(block: Array, size: int) -> Array:
+def histogram(block: Array, size: int, unroll: bool) -> Array:
     """[size, W] uint8: rows of the block [K, W] that hold each digit."""
     digit = jnp.arange(size, dtype=jnp.uint8)[:, None]
-    count = jnp.zeros((size, block.shape[1]), jnp.uint8)
-    for k in range(block.shape[0]):
-        count = count + (block[k : k + 1] == digit).astype(jnp.uint8)
-    return count
+    return over_rows(lambda _, one: (one == digit).astype(jnp.uint8), block, unroll=unroll)
 
 
-def _weigh_less(tile: tuple[Array, Array]) -> Array:
+def _weigh_less(tile: tuple[Array, Array], unroll: bool) -> Array:
     """[K, W] int32: summed weights of the earlier rows that are less than the row."""
-    block, weights = tile
-    row = jnp.arange(block.shape[0], dtype=jnp.uint8)[:, None]
-    total = jnp.zeros(block.shape, jnp.int32)
-    for k in range(block.shape[0]):
-        less = (block[k : k + 1] < block) & (row > k)
-        total = total + jnp.where(less, weights[k : k + 1], 0)
-    return total
+    block, row = tile[0], _numbers(tile[0])
+
+    def term(k: Array | int, one: Array, weight: Array) -> Array:
+        return jnp.where((one < block) & (row > k), weight, 0)
+
+    return over_rows(term, *tile, unroll=unroll)
 
 
-def _weigh_digits(tile: tuple[Array, Array]) -> Array:
+def _weigh_digits(tile: tuple[Array, Array], unroll: bool) -> Array:
     """[K, W] int32: summed weights of the rows of the block that hold each digit."""
-    block, weights = tile
-    digit = jnp.arange(block.shape[0], dtype=jnp.uint8)[:, None]
-    total = jnp.zeros(block.shape, jnp.int32)
-    for k in range(block.shape[0]):
-        total = total + jnp.where(block[k : k + 1] == digit, weights[k : k + 1], 0)
-    return total
+    digit = _numbers(tile[0])
+    return over_rows(
+        lambda _, one, weight: jnp.where(one == digit, weight, 0), *tile, unroll=unroll
+    )
+
+
+def _numbers(block: Array) -> Array:
+    """[K, 1] of the rows of a block."""
+    return jnp.arange(block.shape[0], dtype=jnp.uint8)[:, None]
 
 
 def scan_sum(rows: Array) -> tuple[Array, Array]:

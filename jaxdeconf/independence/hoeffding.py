@@ -16,7 +16,7 @@ whose terms are no larger than the answer: float64 sums it exactly, but for roun
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxdeconf.independence.pairs import Below, Statistic, Total
+from jaxdeconf.independence.statistic import Below, Statistic, Total
 from jaxdeconf.independence.table import all_pairs
 
 

@@ -17,17 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxdeconf.independence.counts import Grid, cumulative, histogram, scan_sum, take, tiled
-from jaxdeconf.independence.pairs import (
-    Below,
-    Statistic,
-    arrange,
-    of_each_pair,
-    positions,
-    read,
-    total,
+from jaxdeconf.independence.counts import (
+    Grid,
+    cumulative,
+    histogram,
+    over_rows,
+    scan_sum,
+    take,
+    tiled,
 )
+from jaxdeconf.independence.pairs import arrange, of_each_pair, positions, read, total
 from jaxdeconf.independence.ranks import Ranks
+from jaxdeconf.independence.statistic import Below, Statistic
 
 MOST = 256  # of levels: a level is a byte
 CELLS = 2**15  # of the tables that are made at once; they stay in the cache
@@ -147,17 +148,19 @@ def count_lower(level: Array, size: int, grid: Grid) -> Array:
       grid: the layout.
     """
     pair, block = grid.block_numbers()
-    equal, less = cumulative(tiled(partial(histogram, size=size), level), grid, grid.blocks)
+    equal, less = cumulative(
+        tiled(partial(histogram, size=size, unroll=grid.unroll), level), grid, grid.blocks
+    )
     cell = (level.astype(jnp.int32) * grid.blocks + block) * grid.pairs + pair
-    return take(2 * less + equal, cell) + tiled(_count_lower, level)
+    return take(2 * less + equal, cell) + tiled(partial(_count_lower, unroll=grid.unroll), level)
 
 
-def _count_lower(block: Array) -> Array:
+def _count_lower(block: Array, unroll: bool) -> Array:
     """[K, W] uint8: earlier rows that are less than the row, and those at most it."""
     row = jnp.arange(block.shape[0], dtype=jnp.uint8)[:, None]
-    count = jnp.zeros(block.shape, jnp.uint8)
-    for k in range(block.shape[0]):
-        one = block[k : k + 1]
+
+    def term(k: Array | int, one: Array) -> Array:
         both = (one < block).astype(jnp.uint8) + (one <= block).astype(jnp.uint8)
-        count = count + jnp.where(row > k, both, 0)
-    return count
+        return jnp.where(row > k, both, 0)
+
+    return over_rows(term, block, unroll=unroll)

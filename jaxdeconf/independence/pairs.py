@@ -12,43 +12,33 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxdeconf.independence import dense
 from jaxdeconf.independence.counts import Grid, count_below, plan, take
-from jaxdeconf.independence.ranks import Ranks, rank_on_device, reverse_ties
+from jaxdeconf.independence.ranks import Ranks, integer_key, rank_on_device, reverse_ties
+from jaxdeconf.independence.statistic import Below, Statistic, scaled
 
 # Samples of a tie group, at most, that meet each other one by one: cheaper than three more counts.
 SMALL = 8
 
 
-class Below(NamedTuple):
-    """What lies below each sample, float64, samples tied with it counted half."""
-
-    x: Array  # samples below in x: the midrank - 1
-    y: Array
-    both: Array
-    y_of_both: Array  # sum of `y` over the samples below in both
-    tied_x: Array  # half the number of other samples tied with it in x
-    tied_y: Array
-
-
-Total = Callable[[Array], Array]  # sums over the samples of each pair
-
-
-class Statistic(NamedTuple):
-    """A statistic of a pair, times N (N-1) ... (N-4)."""
-
-    value: Callable[[Below, int, Total], Array]
-    weighted: bool  # it reads `y_of_both`
+def compares(platform: str, n: int) -> bool:
+    """Whether n samples are compared with one another, and not counted: see `dense`."""
+    return platform != "cpu" and n <= dense.MOST
 
 
 @partial(jax.jit, static_argnames=("statistic", "platform"))
 def from_values(x: Array, y: Array, statistic: Statistic, platform: str) -> Array:
     """[S, P] float64 of x [S, N] and y [P, N], ranked on the device."""
-    (ranks_x, tied_x), (ranks_y, tied_y) = rank_on_device(x), rank_on_device(y)
-    result = jax.lax.cond(
-        jnp.maximum(tied_x, tied_y) > SMALL,
-        partial(from_ranks, ranks_x, ranks_y, statistic, platform),
-        partial(from_ranks, ranks_x, ranks_y, statistic, platform, small=True),
-    )
+    if compares(platform, x.shape[1]):
+        of_x, of_y = (dense.compared(integer_key(v)) for v in (x, y))
+        result = dense.from_columns(of_x, of_y, statistic)
+    else:
+        (ranks_x, tied_x), (ranks_y, tied_y) = rank_on_device(x), rank_on_device(y)
+        result = jax.lax.cond(
+            jnp.maximum(tied_x, tied_y) > SMALL,
+            partial(from_ranks, ranks_x, ranks_y, statistic, platform),
+            partial(from_ranks, ranks_x, ranks_y, statistic, platform, small=True),
+        )
     missing = jnp.isnan(x).any(axis=1)[:, None] | jnp.isnan(y).any(axis=1)[None, :]
     return jnp.where(missing, jnp.nan, result)
 
@@ -66,6 +56,8 @@ def from_ranks(
       small: whether ties are few, groups of at most `SMALL` samples.
     """
     (rows, n), cols = x.rank.shape, y.rank.shape[0]
+    if compares(platform, n):
+        return dense.from_columns(dense.ranked(x), dense.ranked(y), statistic)
     grid = plan(n, rows * cols, platform)
     views_x, views_y = arrange(x, grid, not small), arrange(y, grid, not small)
 
@@ -90,8 +82,7 @@ def of_each_pair(
     pairs = jnp.arange(chunks * chunk, dtype=jnp.int32) % (rows * cols)
     total = jax.lax.map(lambda pair: values(pair // cols, pair % cols), pairs.reshape(-1, chunk))
     total = total.reshape(-1)[: rows * cols]
-    quintuples = float(n) * (n - 1.0) * (n - 2.0) * (n - 3.0) * (n - 4.0)
-    return (30.0 / quintuples * total).reshape(shape)
+    return scaled(total, n).reshape(shape)
 
 
 def positions(grid: Grid) -> Array:

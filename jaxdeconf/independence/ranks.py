@@ -140,7 +140,7 @@ def rank_on_device(values: Array) -> tuple[Ranks, Array]:
     """Ranks of `values` [V, N] and the most that are tied, traceable; call under 64-bit types."""
     n = values.shape[1]
     index = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32), values.shape)
-    key = _integer_key(values)
+    key = integer_key(values)
     if key.dtype == jnp.int64:
         ordered, order = jax.lax.sort((key, index), dimension=1, num_keys=1, is_stable=True)
     else:  # one packed int64 sorts several times faster than a pair of operands
@@ -157,7 +157,7 @@ def rank_on_device(values: Array) -> tuple[Ranks, Array]:
     return Ranks(order, rank, first, last), (last - first).max() + 1
 
 
-def _integer_key(values: Array) -> Array:
+def integer_key(values: Array) -> Array:
     """Integers in the order of `values`: compared as floats, subnormals would tie with zero."""
     if not jnp.issubdtype(values.dtype, jnp.floating):
         wide = values.dtype in (jnp.uint32, jnp.int64, jnp.uint64)

@@ -18,7 +18,7 @@ y-ranks over the samples below in both, beside their count, gives them all in O(
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxdeconf.independence.pairs import Below, Statistic, Total
+from jaxdeconf.independence.statistic import Below, Statistic, Total
 from jaxdeconf.independence.ties import with_ties
 
 

@@ -20,7 +20,7 @@ from jaxdeconf.independence.levels import (
     from_levels,
     levels_of,
 )
-from jaxdeconf.independence.pairs import SMALL, Statistic, from_ranks, from_values
+from jaxdeconf.independence.pairs import SMALL, compares, from_ranks, from_values
 from jaxdeconf.independence.ranks import (
     Ranks,
     columns,
@@ -28,6 +28,7 @@ from jaxdeconf.independence.ranks import (
     rank_on_device,
     rank_on_host,
 )
+from jaxdeconf.independence.statistic import Statistic
 
 
 def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
@@ -36,7 +37,7 @@ def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
     shape, dtype = np.shape(x)[1:] + np.shape(y)[1:], jnp.result_type(float)
     platform = jax.default_backend()
     with jax.enable_x64(True):
-        if is_traced(xs, ys):
+        if is_traced(xs, ys) or compares(platform, xs.shape[1]):
             found = from_values(jnp.asarray(xs), jnp.asarray(ys), statistic, platform)
         elif platform == "cpu":
             found = counted(rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys)), statistic)
@@ -73,7 +74,8 @@ def is_traced(*arrays: Array | np.ndarray) -> bool:
 def counted(x: Ranks, y: Ranks, statistic: Statistic) -> Array | np.ndarray:
     """[S, P] float64, as `all_pairs`, of variables ranked on the host; under 64-bit types."""
     few_x, few_y = few_levels(x), few_levels(y)
-    if statistic.weighted or not (few_x.any() or few_y.any()):
+    levelled = few_x.any() or few_y.any()
+    if statistic.weighted or not levelled or compares(jax.default_backend(), x.rank.shape[1]):
         return _general(x, y, statistic)
     result = np.empty((len(few_x), len(few_y)))
     for few_in_x, few_in_y in product((True, False), repeat=2):
@@ -100,9 +102,10 @@ def _counted(x: Ranks, y: Ranks, few_x: bool, few_y: bool, statistic: Statistic)
 
 def _general(x: Ranks, y: Ranks, statistic: Statistic) -> Array:
     """The same of any variables; chance ties, as float32 has them, cost less than others."""
+    platform = jax.default_backend()
     largest = max(largest_group(x), largest_group(y))
-    small = 1 < largest <= SMALL
-    return from_ranks(x, y, statistic, jax.default_backend(), small)
+    small = 1 < largest <= SMALL and not compares(platform, x.rank.shape[1])
+    return from_ranks(x, y, statistic, platform, small)
 
 
 def chosen(ranks: Ranks, which: np.ndarray) -> Ranks:

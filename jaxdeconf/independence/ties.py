@@ -33,8 +33,8 @@ from jax.typing import ArrayLike
 
 from jaxdeconf.independence.eigen import eigenvalues
 from jaxdeconf.independence.null import quantile
-from jaxdeconf.independence.pairs import Statistic
 from jaxdeconf.independence.ranks import Ranks, rank_on_device, rank_on_host
+from jaxdeconf.independence.statistic import Statistic
 from jaxdeconf.independence.table import all_pairs, both_columns, chosen, counted, formed, is_traced
 
 # A column counts as tied where the chance that two samples share their value is above that of 333

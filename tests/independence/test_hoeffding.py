@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxdeconf.independence import hoeffding_d, levels, pairs, table
+from jaxdeconf.independence import dense, hoeffding_d, levels, pairs, table
 from tests.reference import midrank_d, quintuple_d
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden/hoeffding.json").read_text())["cases"]
@@ -44,8 +44,9 @@ def test_golden_on_device(case):
 
 
 def test_a_device_ranks_its_own_values_and_compiles_ties_only_where_there_are(monkeypatch):
-    """The layout and the way of a GPU, on whatever runs the tests."""
+    """The layout and the way of a GPU with many samples, on whatever runs the tests."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(dense, "MOST", 5)
     rng = np.random.default_rng(4)
     x, y = rng.normal(size=(2, 30, 2))
     before = pairs.from_ranks._cache_size(), pairs.from_values._cache_size()
