@@ -20,6 +20,8 @@ from jaxdeconf.learn.many import AXIS, Models, fit_many
 
 # Steps at once on an accelerator beyond which nothing is gained.
 _MOST_AT_ONCE = 16
+# Programs of groups side by side that may be compiled before any is forgotten.
+_LOT = 16
 
 
 class Job(NamedTuple):
@@ -65,6 +67,33 @@ def room(jobs: int, bytes_a_model: float, budget: float) -> Room:
         return Room(tuple(devices[:count]), 1)
     count = min(len(devices), jobs) if alone else len(devices)
     return Room(tuple(devices[:count]), max(1, min(_MOST_AT_ONCE, fit, -(-jobs // count))))
+
+
+class Lot(NamedTuple):
+    """Groups of jobs, of one shape each, to train before compiled programs are forgotten."""
+
+    groups: list[int]  # their places
+    at_once: int  # how many side by side, each by its own program
+
+
+def lots(groups: Sequence[Sequence[Job]], budget: float) -> Iterator[Lot]:
+    """Groups in the order to train them: first those that fill the devices, one after the other.
+
+    Groups of fewer models would leave cores idle alone, and are trained side by side: on a CPU, in
+    one process.
+
+    Args:
+      groups: jobs of one shape each.
+      budget: bytes, of all together.
+    """
+    on_cores = jax.default_backend() == "cpu" and jax.process_count() == 1
+    devices = len(jax.devices()) if on_cores else 1
+    small = [i for i, group in enumerate(groups) if len(group) < devices]
+    yield from (Lot([i], 1) for i in range(len(groups)) if i not in small)
+    for some in (small[i : i + _LOT] for i in range(0, len(small), _LOT)):
+        most = max(len(groups[i]) for i in some)
+        taken = max(len(groups[i]) * model_bytes(groups[i][0].training) for i in some)
+        yield Lot(some, max(1, min(devices // most, int(budget // taken))))
 
 
 class Trained(NamedTuple):

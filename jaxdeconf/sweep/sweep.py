@@ -9,8 +9,10 @@ rows, by which a sweep goes on, but not what points share, which each of them ma
 the same directory and the same kind of machine.
 """
 
+import threading
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -30,7 +32,7 @@ from jaxdeconf.pipeline.results import Judged, Losses, Row
 from jaxdeconf.pipeline.run import demonstrations_for
 from jaxdeconf.pipeline.stages import finite
 from jaxdeconf.sweep import sights
-from jaxdeconf.sweep.batch import Job, Trained
+from jaxdeconf.sweep.batch import Job, Trained, lots
 from jaxdeconf.sweep.grid import Point
 from jaxdeconf.sweep.log import Log, Sweep
 from jaxdeconf.sweep.shared import (
@@ -86,10 +88,13 @@ def sweep(
     points = part(sweep.points, shard)
     done = {row.point: row for row in log.rows()}
     train_encoders(work, [point.config for point in points if point.index not in done])
-    for name, rows in _finish(work, points, done):
-        if jax.process_index() == 0:
+
+    def keep(name: str, rows: list[Row]) -> None:
+        if rows and jax.process_index() == 0:
             log.append(rows)
             reporter.console.print(f"{name}: {len(rows)} points done", highlight=False)
+
+    _finish(work, points, done, keep)
     return log.rows()
 
 
@@ -100,9 +105,12 @@ def part(points: Sequence[Point], shard: tuple[int, int]) -> list[Point]:
 
 
 def _finish(
-    work: Work, points: Sequence[Point], done: dict[int, Row]
-) -> Iterator[tuple[str, list[Row]]]:
-    """Clones what the points need; yields rows as they become complete."""
+    work: Work,
+    points: Sequence[Point],
+    done: dict[int, Row],
+    keep: Callable[[str, list[Row]], None],
+) -> None:
+    """Clones what the points need; keeps rows as they become complete."""
     masks = find_masks(work, points)
     jobs, needs = _needed(work, points, masks)
     judged: dict[Name, Judged] = {}
@@ -123,21 +131,26 @@ def _finish(
             rows.append(row._replace(seconds={m: seconds[name] for m, name in names}))
         return rows
 
-    if rows := complete():
-        yield "masks", rows
+    keep("masks", complete())
     wanted = {name for point in waiting for name in needs[point.index].values()} - judged.keys()
     groups: dict[Any, list[Name]] = defaultdict(list)
     for name in [name for name in jobs if name in wanted]:
         groups[jobs[name][1].shape].append(name)
-    for names in groups.values():
+    one_at_a_time = threading.Lock()
+
+    def clone(names: list[Name]) -> None:
         for batch in train(work, "policies", [jobs[name][1] for name in names]):
-            trained = [(*jobs[names[one.job]], one) for one in batch]
             found = [names[one.job] for one in batch]
-            judged |= zip(found, _judge(work, trained), strict=True)
-            seconds |= zip(found, (one.seconds for one in batch), strict=True)
-            if rows := complete():
-                yield "policies", rows
-            machine.forget_programs()
+            come_to = _judge(work, [(*jobs[names[one.job]], one) for one in batch])
+            with one_at_a_time:
+                judged.update(zip(found, come_to, strict=True))
+                seconds.update(zip(found, (one.seconds for one in batch), strict=True))
+                keep("policies", complete())
+
+    order, stop = [*groups.values()], work.interruption.stop
+    for lot in lots([[jobs[name][1] for name in names] for names in order], work.budget):
+        threads.together([partial(clone, order[i]) for i in lot.groups], lot.at_once, stop)
+        machine.forget_programs()
 
 
 def _needed(

@@ -178,6 +178,16 @@ def test_a_point_that_diverges_is_recorded_and_stops_no_other(sweep, swept, tmp_
 
 
 @pytest.mark.slow
+def test_programs_of_one_model_train_side_by_side_as_they_do_alone(sweep, swept, tmp_path):
+    out = begun(swept, tmp_path / "sweep", axes={"clone.batch_size": [64, 32]})
+    _, process = sweep("--resume", out)
+    usual, other = by_point(rows(out))
+    assert process.stderr.count("policies × 1:") == 2
+    assert_same([usual | {"values": 0}], [rows(swept[0])[0] | {"values": 0}])
+    assert numbers_of(other) != numbers_of(usual)
+
+
+@pytest.mark.slow
 def test_masks_alone_for_a_thousand_thresholds(sweep, swept, tmp_path):
     gammas = np.geomspace(1e-4, 0.5, 100).tolist()
     axes = {"mask.threshold": gammas, "mask.reaction_horizon": list(range(1, 11))}
@@ -232,6 +242,18 @@ def test_a_batch_fills_the_devices_within_memory():
     devices = tuple(jax.devices())
     assert batch.room(jobs=8, bytes_a_model=1e9, budget=1.5e9) == batch.Room(devices[:1], 1)
     assert batch.room(jobs=8, bytes_a_model=1e12, budget=1e9).models == 1
+
+
+def test_groups_that_fill_no_devices_train_side_by_side_within_memory(monkeypatch):
+    monkeypatch.setattr(jax, "devices", lambda: [None] * 4)
+    monkeypatch.setattr(batch, "model_bytes", lambda training: training)
+    groups = [[batch.Job(1e9, "data")] * models for models in (2, 5, 1)]
+    assert [*batch.lots(groups, budget=1e12)] == [batch.Lot([1], 1), batch.Lot([0, 2], 2)]
+    assert [*batch.lots(groups, budget=1e9)] == [batch.Lot([1], 1), batch.Lot([0, 2], 1)]
+    many = [[batch.Job(1e9, "data")]] * 20
+    assert [(len(lot.groups), lot.at_once) for lot in batch.lots(many, 1e12)] == [(16, 4), (4, 4)]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert {lot.at_once for lot in batch.lots(many, 1e12)} == {1}
 
 
 def test_a_device_holds_each_data_set_once():
