@@ -4,8 +4,8 @@ For an accelerator. A sample compared with all N gives a matrix [S, N] for the c
 [P, N] for those of y: 2 where the other lies below it, 1 where it is tied, 0 above. Their product
 over the N counts, for all S P pairs at once, what lies below in both. That is N^2 work a pair, and
 no sort, scan or gather: tensor cores do it faster than anything counts in N log N, up to `MOST`
-samples. Factors are bytes (in bfloat16 an H100 takes a quarter longer) and sums 32-bit integers.
-Weights are multiplied six bits at a time.
+samples. Factors are bytes (an H100 takes longer in bfloat16) and sums 32-bit integers. Weights are
+multiplied six bits at a time.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from jaxdeconf.independence.statistic import Below, Statistic, scaled
 
 MOST = 2**15  # samples
 _DIGIT = 6  # bits; twice the largest digit fits into a byte
-_FACTORS = 2**28  # bytes, of those that are there at once
+_FACTORS = 2**27  # bytes, of those that are there at once
 _COUNTS = 2**30  # bytes
 
 

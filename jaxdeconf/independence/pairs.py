@@ -28,7 +28,7 @@ def compares(platform: str, n: int) -> bool:
 
 @partial(jax.jit, static_argnames=("statistic", "platform"))
 def from_values(x: Array, y: Array, statistic: Statistic, platform: str) -> Array:
-    """[S, P] float64 of x [S, N] and y [P, N], ranked on the device."""
+    """[S, P] float64 of x [S, N] and y [P, N], ranked, or compared, on the device."""
     if compares(platform, x.shape[1]):
         of_x, of_y = (dense.compared(integer_key(v)) for v in (x, y))
         result = dense.from_columns(of_x, of_y, statistic)

@@ -1,6 +1,8 @@
 """The theory's experiments from a config to their results: each claim's rates, kept and resumed."""
 
+import math
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -100,7 +102,10 @@ def _on_pixels(this: Run, found: Theory) -> tuple[Theory, dict[str, np.ndarray]]
     config, key = this.config.pixels, this.key
     scene = pixels.prepare(config, key, this.stage, this.watch)
     rates = pixels.mask_rates(config, scene, key, this.stage)
-    of = [pixels.clone(config, scene, one, key, this.watch) for one in config.couplings]
+    data_bytes = 3.0 * scene.collected.expert.valid.size * math.prod(scene.system.size)
+    at_once = machine.trainings(data_bytes)
+    clones = [partial(pixels.clone, config, scene, c, key, this.watch) for c in config.couplings]
+    of = threads.together(clones, at_once, this.interruption.stop)
     driven = [*threads.each(lambda one: pixels.drive(scene, one, key), of)]
     strips = {f"{one.coupling:g}": one.shown for one in of}
     return found._replace(pixels=rates, driven=driven, square=scene.square), strips
