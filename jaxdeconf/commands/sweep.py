@@ -210,7 +210,15 @@ def _run(
             multihost_utils.sync_global_devices("opened")
         rows = sweeping.sweep(sweep, log, Reporter(), interruption, budget, shard, system)
         if alone:
-            print(draw(log.directory, sweep, rows))
+            print(_drawn(draw, sweep, log, rows))
+
+
+def _drawn(draw: Draw, sweep: Sweep, log: Log, rows: Sequence[Row]) -> str:
+    """Draws until no row has come meanwhile: of two shards that end at once, either may be last."""
+    said = draw(log.directory, sweep, rows)
+    while len(now := log.rows()) > len(rows):
+        rows, said = now, draw(log.directory, sweep, now)
+    return said
 
 
 def _open(asked: Arguments, sweep: Sweep, log: Log, shard: tuple[int, int]) -> None:

@@ -10,12 +10,14 @@ import socket
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 from jax.sharding import Mesh
 
+from jaxdeconf.commands import sweep as sweep_command
 from jaxdeconf.commands.main import main
 from jaxdeconf.commands.sweep import submit
 from jaxdeconf.learn.fit import FitConfig, Training, start
@@ -236,6 +238,19 @@ def test_another_grid_is_refused(swept, small, capsys, monkeypatch):
     assert main(["sweep", *small, *GRID, "--out", str(directory)]) == 2
     assert f"holds a sweep; use --resume {directory}" in capsys.readouterr().err
     assert (directory / "sweep.jsonl").read_bytes() == before
+
+
+def test_rows_that_come_while_the_report_is_drawn_are_drawn_too():
+    """Of two shards that end at once: the one that began to draw with fewer rows may be last."""
+    log = SimpleNamespace(directory=None, rows=lambda: rows[: 1 + len(drawn)])
+    rows, drawn = ["one", "two", "three"], []
+
+    def draw(directory, sweep, found):
+        drawn.append(found)
+        return f"{len(found)} rows"
+
+    assert sweep_command._drawn(draw, None, log, rows[:1]) == "3 rows"
+    assert drawn == [rows[:1], rows[:2], rows[:3]]
 
 
 def test_a_batch_fills_the_devices_within_memory():
