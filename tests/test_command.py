@@ -5,6 +5,7 @@ tests run the real one.
 """
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -84,8 +85,9 @@ def test_ctrl_c_while_it_imports_ends_it_without_a_trace(tmp_path, entry, second
     time.sleep(seconds)
     _, error, code = interrupted(process)
     assert code == 130
-    assert b"Traceback" not in error
-    assert error == b"" or error.splitlines()[-1].startswith(b"interrupted; ")  # it has begun
+    # A fast machine has begun, and may be done with a stage: one of JAX's calls is not interrupted.
+    error = re.sub(rb"\Acollect: [\d.]+ s\n", b"", error)
+    assert error == b"" or error.startswith(b"interrupted; ")
 
 
 def test_letters_that_a_terminal_has_not_are_written_as_others(standin):

@@ -20,7 +20,7 @@ from jaxdeconf.learn.many import AXIS, Models, fit_many
 
 # Steps at once on an accelerator beyond which nothing is gained.
 _MOST_AT_ONCE = 16
-# Programs of groups side by side that may be compiled before any is forgotten.
+# Models of groups side by side that are trained and judged before any program is forgotten.
 _LOT = 16
 
 
@@ -90,8 +90,9 @@ def lots(groups: Sequence[Sequence[Job]], budget: float) -> Iterator[Lot]:
     devices = len(jax.devices()) if on_cores else 1
     small = [i for i, group in enumerate(groups) if len(group) < devices]
     yield from (Lot([i], 1) for i in range(len(groups)) if i not in small)
-    for some in (small[i : i + _LOT] for i in range(0, len(small), _LOT)):
-        most = max(len(groups[i]) for i in some)
+    most = max((len(groups[i]) for i in small), default=1)
+    count = max(1, _LOT // most)
+    for some in (small[i : i + count] for i in range(0, len(small), count)):
         taken = max(len(groups[i]) * model_bytes(groups[i][0].training) for i in some)
         yield Lot(some, max(1, min(devices // most, int(budget // taken))))
 

@@ -138,7 +138,7 @@ def _finish(
         groups[jobs[name][1].shape].append(name)
     one_at_a_time = threading.Lock()
 
-    def clone(names: list[Name]) -> None:
+    def clone(names: list[Name], alone: bool) -> None:
         for batch in train(work, "policies", [jobs[name][1] for name in names]):
             found = [names[one.job] for one in batch]
             come_to = _judge(work, [(*jobs[names[one.job]], one) for one in batch])
@@ -146,10 +146,13 @@ def _finish(
                 judged.update(zip(found, come_to, strict=True))
                 seconds.update(zip(found, (one.seconds for one in batch), strict=True))
                 keep("policies", complete())
+            if alone:  # nobody else is in the middle of a program
+                machine.forget_programs()
 
     order, stop = [*groups.values()], work.interruption.stop
     for lot in lots([[jobs[name][1] for name in names] for names in order], work.budget):
-        threads.together([partial(clone, order[i]) for i in lot.groups], lot.at_once, stop)
+        clones = [partial(clone, order[i], lot.at_once == 1) for i in lot.groups]
+        threads.together(clones, lot.at_once, stop)
         machine.forget_programs()
 
 
