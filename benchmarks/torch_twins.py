@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 
 SIDE = 64  # of an image, pixels
@@ -34,7 +34,7 @@ class Block(nn.Module):
 class ResNet(nn.Module):
     """`jaxdeconf.nets.resnet` with 6 input channels and one output."""
 
-    def __init__(self, config: ResNetConfig):
+    def __init__(self, config: NetworkConfig):
         super().__init__()
         width = config.width
         if config.stem == "cifar":
@@ -86,9 +86,9 @@ class VAE(nn.Module):
 class Race:
     """One network and its optimiser; `seconds()` times one full Adam step."""
 
-    def __init__(self, config: ResNetConfig | VAEConfig, batch: int, threads: int):
+    def __init__(self, config: NetworkConfig | VAEConfig, batch: int, threads: int):
         torch.set_num_threads(threads)
-        resnet = isinstance(config, ResNetConfig)
+        resnet = isinstance(config, NetworkConfig)
         self.network = ResNet(config) if resnet else VAE(config)
         self.network.to(memory_format=torch.channels_last)
         self.images = torch.rand(batch, 6 if resnet else 3, SIDE, SIDE).to(

@@ -26,20 +26,20 @@ import jax.numpy as jnp
 import optax
 from jax import lax
 
-from jaxdeconf.nets import layers, resnet, vae
+from jaxdeconf.nets import layers, network, vae
 from jaxdeconf.nets.cpu import conv_general_dilated as ours
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 
-Config = ResNetConfig | VAEConfig
+Config = NetworkConfig | VAEConfig
 NETWORKS: dict[str, Config] = {
-    "resnet 16 imagenet": ResNetConfig(16, "imagenet"),
+    "resnet 16 imagenet": NetworkConfig(width=16, stem="imagenet"),
     "vae 8-16-32-32-64": VAEConfig((8, 16, 32, 32, 64)),
     "vae 16-32-32-64-64": VAEConfig((16, 32, 32, 64, 64)),
-    "resnet 16 cifar": ResNetConfig(16, "cifar"),
-    "resnet 64 imagenet": ResNetConfig(64, "imagenet"),
+    "resnet 16 cifar": NetworkConfig(width=16, stem="cifar"),
+    "resnet 64 imagenet": NetworkConfig(width=64, stem="imagenet"),
     "vae paper": VAEConfig(),
-    "resnet 64 cifar": ResNetConfig(64, "cifar"),
+    "resnet 64 cifar": NetworkConfig(width=64, stem="cifar"),
 }
 LAPTOP = 3  # of them
 BATCH, CHUNK = 64, 8  # CHUNK: steps of a scan
@@ -47,15 +47,15 @@ SIZE = (64, 64)
 MODELS = (1, 2, 4, 8)
 
 
-def network(config: Config):
+def built(config: Config):
     """Variables, a batch of images, and forward(params, batch_stats, images) -> output, stats."""
-    if isinstance(config, ResNetConfig):
+    if isinstance(config, NetworkConfig):
 
         def forward(params, batch_stats, images):
             variables = {"params": params, "batch_stats": batch_stats}
-            return resnet.apply(config, variables, images, True)
+            return network.apply(config, variables, images, True)
 
-        variables = resnet.init(config, jax.random.key(0), (*SIZE, 6), 1)
+        variables = network.init(config, jax.random.key(0), (*SIZE, 6), 1)
         return variables, jax.random.uniform(jax.random.key(1), (BATCH, *SIZE, 6)), forward
 
     def reconstruct(params, batch_stats, images):
@@ -69,7 +69,7 @@ def network(config: Config):
 
 def training(config: Config):
     """A training state, a batch, the Adam step on them, the forward pass and the gradient."""
-    variables, images, forward = network(config)
+    variables, images, forward = built(config)
     adam = optax.adam(1e-3)
 
     def loss(params, batch_stats, images):

@@ -32,7 +32,7 @@ from jaxdeconf.mask import Mask, MaskConfig, find_mask
 from jaxdeconf.method import Evidence
 from jaxdeconf.methods import METHODS
 from jaxdeconf.nets import vae
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.region import find_region
@@ -55,7 +55,7 @@ TRAJECTORIES = Trajectories(
     np.ones((6, 2), bool),
     np.zeros((6, 2, 1)),
 )
-VAE, RESNET = VAEConfig(channels=(4, 4)), ResNetConfig(width=4)
+VAE, RESNET = VAEConfig(channels=(4, 4)), NetworkConfig(width=4)
 POLICY = Policy(identity, RESNET, 2, {}, {})
 NONE = jnp.zeros((1, 1, 1))
 MASK = Mask(
@@ -183,13 +183,14 @@ BAD = [
     ("norm", "'layer'", lambda: VAEConfig(norm="layer")),
     ("dtype", "'float64'", lambda: VAEConfig(dtype="float64")),
     ("size", "84 × 86", lambda: vae.init(VAE, KEY, (84, 86))),
-    ("width", "0", lambda: ResNetConfig(width=0)),
-    ("width", "inf", lambda: ResNetConfig(width=INF)),
-    ("stem", "7", lambda: ResNetConfig(stem=7)),
-    ("stages", "5", lambda: ResNetConfig(stages=5)),
-    ("pool", "'max'", lambda: ResNetConfig(pool="max")),
-    ("hidden", "[8]", lambda: ResNetConfig(hidden=[8])),
-    ("hidden", "0", lambda: ResNetConfig(hidden=(8, 0))),
+    ("width", "0", lambda: NetworkConfig(width=0)),
+    ("width", "inf", lambda: NetworkConfig(width=INF)),
+    ("stem", "7", lambda: NetworkConfig(stem=7)),
+    ("stages", "5", lambda: NetworkConfig(stages=5)),
+    ("kind", "'vgg'", lambda: NetworkConfig(kind="vgg")),
+    ("motion", "-1.0", lambda: NetworkConfig(motion=-1.0)),
+    ("hidden", "[8]", lambda: NetworkConfig(hidden=[8])),
+    ("hidden", "0", lambda: NetworkConfig(hidden=(8, 0))),
     # learn
     ("epochs", "inf", lambda: FitConfig(epochs=INF)),
     ("epochs", "1000000000.0", lambda: FitConfig(epochs=1e9).total_steps(64 * 1000)),
@@ -215,7 +216,7 @@ BAD = [
     ("beta", "-0.5", lambda: DisentangleConfig(beta=-0.5)),
     ("capacity", "nan", lambda: DisentangleConfig(capacity=NAN)),
     ("capacity_steps", "0", lambda: DisentangleConfig(capacity_steps=0)),
-    ("network", "ResNetConfig", lambda: DisentangleConfig(network=RESNET)),
+    ("network", "NetworkConfig", lambda: DisentangleConfig(network=RESNET)),
     ("start_components", "2", lambda: DisentangleConfig(start_components=2)),
     ("patches", "64", lambda: DisentangleConfig(patches=64)),
     ("among", "9", lambda: linear_start(jnp.zeros((8, 100)), 9, KEY)),
@@ -267,7 +268,7 @@ BAD = [
     ("initial_states", "shape (6, 3)", lambda: drive(STATES[:, :3])),
     ("key", "7", lambda: evaluate.drive(SYSTEM, POLICY, STATES, 7)),
     ("system", "'cartpole'", lambda: evaluate.drive("cartpole", POLICY, STATES, KEY)),
-    ("policy", "ResNetConfig", lambda: evaluate.drive(SYSTEM, RESNET, STATES, KEY)),
+    ("policy", "NetworkConfig", lambda: evaluate.drive(SYSTEM, RESNET, STATES, KEY)),
     ("system", "None", lambda: evaluate.rollout_loss(None, TRAJECTORIES)),
     ("trajectories", "array", lambda: evaluate.rollout_loss(SYSTEM, STATES)),
     ("valid", "shape (6,)", lambda: evaluate.outcome(SYSTEM, moved(valid=np.ones(6, bool)))),

@@ -20,7 +20,7 @@ from jaxdeconf.learn.disentangle import DisentangleConfig, Encoder
 from jaxdeconf.mask import Mask, MaskConfig
 from jaxdeconf.method import Evidence, Method, imitated
 from jaxdeconf.methods import METHODS, usual
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.region import find_region
 from jaxdeconf.views import identity, shown
@@ -34,7 +34,7 @@ LATENTS = DisentangleConfig(
     beta=2.0,
     network=VAEConfig(channels=(4,), latents=3, linear_path=True, norm="none"),
 )
-NETWORK = ResNetConfig(width=4, stem="imagenet", stages=1, norm="none")
+NETWORK = NetworkConfig(width=4, stem="imagenet", stages=1, norm="none")
 CLONE = CloneConfig(steps=20, batch_size=32, network=NETWORK)
 HORIZON = MaskConfig(reaction_horizon=2)
 

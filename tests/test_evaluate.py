@@ -10,8 +10,8 @@ import pytest
 from jaxdeconf import evaluate, systems
 from jaxdeconf.evaluate import EvaluateConfig
 from jaxdeconf.learn.clone import Policy
-from jaxdeconf.nets import resnet
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets import network
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.systems.signal import SIGNALS
 from jaxdeconf.views import covered, identity
 
@@ -19,15 +19,15 @@ SIZE = (16, 16)
 SYSTEM = replace(systems.get("cartpole"), size=SIZE)
 # With a nuisance that does not show the previous action.
 SHORT = replace(SYSTEM, steps=6, signal=SIGNALS["two_steps_ago"])
-NETWORK = ResNetConfig(width=4, stem="imagenet", stages=1, norm="none")
+NETWORK = NetworkConfig(width=4, stem="imagenet", stages=1, norm="none")
 # Not a network: the tests that put a function of their own in its place name it, so that nothing
 # compiled before is taken for it.
-FUNCTION = ResNetConfig(width=17)
+FUNCTION = NetworkConfig(width=17)
 
 
 @pytest.fixture(scope="module")
 def policy():
-    variables = resnet.init(NETWORK, jax.random.key(0), (*SIZE, 6), 1)
+    variables = network.init(NETWORK, jax.random.key(0), (*SIZE, 6), 1)
     return Policy(identity, NETWORK, 2, {}, variables)
 
 
@@ -42,7 +42,7 @@ def driven(policy, initial_states):
 
 
 def test_a_policy_drives_as_a_plain_loop_does(policy, initial_states, driven):
-    apply = jax.jit(lambda images: resnet.apply(NETWORK, policy.variables, images, train=False)[0])
+    apply = jax.jit(lambda images: network.apply(NETWORK, policy.variables, images, train=False)[0])
     state = initial_states[0]
     previous_action = driven.signals[0, 0]
     previous = jnp.zeros((1, *SIZE, 3), jnp.uint8)
@@ -64,7 +64,7 @@ def test_a_policy_sees_the_last_frames_in_order_and_blank_ones_before(
     def apply(network, weights, images, train):
         return jnp.tanh(images[:, 1, 1, ::3] @ weights)[:, None], {}
 
-    monkeypatch.setattr(resnet, "apply", apply)
+    monkeypatch.setattr(network, "apply", apply)
     weights = np.array([3.0, -0.7, -1.1], np.float32)[-frames:]
 
     def upside_down(_, images):
@@ -83,7 +83,7 @@ def test_a_policy_sees_the_last_frames_in_order_and_blank_ones_before(
 
 
 def test_the_initial_states_and_the_nuisance_there_are_shared(initial_states, driven, monkeypatch):
-    monkeypatch.setattr(resnet, "apply", lambda *a, train: (jnp.ones((1, 1)), {}))
+    monkeypatch.setattr(network, "apply", lambda *a, train: (jnp.ones((1, 1)), {}))
     other = Policy(covered(SYSTEM.nuisance.cover), FUNCTION, 2, {}, {})
     second = evaluate.drive(SYSTEM, other, initial_states, jax.random.key(2))
     np.testing.assert_array_equal(driven.states[:, 0], initial_states)
@@ -151,7 +151,7 @@ def test_copycat_compares_all_successive_frames_with_the_same_under_another_nuis
         jax.debug.callback(lambda images: seen.append(np.asarray(images)), images, ordered=True)
         return scale * redness(images)[:, None], {}
 
-    monkeypatch.setattr(resnet, "apply", apply)
+    monkeypatch.setattr(network, "apply", apply)
     trajectories = jax.tree.map(lambda a: a[:, :5], driven)
     policy = Policy(identity, FUNCTION, frames, {}, 0.5)
     score = evaluate.copycat(SYSTEM, policy, trajectories, jax.random.key(3))
@@ -178,7 +178,7 @@ def test_copycat_compares_all_successive_frames_with_the_same_under_another_nuis
 def test_copycat_is_zero_for_a_covered_nuisance_and_that_of_chance_for_a_pure_copy(
     driven, monkeypatch
 ):
-    monkeypatch.setattr(resnet, "apply", lambda *a, train: (redness(a[2])[:, None], {}))
+    monkeypatch.setattr(network, "apply", lambda *a, train: (redness(a[2])[:, None], {}))
     blind = Policy(covered(SYSTEM.nuisance.cover), FUNCTION, 2, {}, {})
     assert evaluate.copycat(SYSTEM, blind, driven, jax.random.key(3)) == 0.0
     copy = Policy(identity, FUNCTION, 2, {}, {})
@@ -190,7 +190,7 @@ def test_copycat_is_zero_for_a_covered_nuisance_and_that_of_chance_for_a_pure_co
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
 def test_the_slope_of_a_copy_is_what_it_copies_with(frames, driven, monkeypatch):
-    monkeypatch.setattr(resnet, "apply", lambda *a, train: (a[1] * redness(a[2])[:, None], {}))
+    monkeypatch.setattr(network, "apply", lambda *a, train: (a[1] * redness(a[2])[:, None], {}))
     copy = Policy(identity, FUNCTION, frames, {}, -0.3)
     assert evaluate.saliency(SHORT, copy, driven).slope == pytest.approx(-0.3, rel=1e-5)
     blind = Policy(covered(SYSTEM.nuisance.cover), FUNCTION, frames, {}, -0.3)

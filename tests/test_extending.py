@@ -18,7 +18,7 @@ from jaxdeconf.expert import ExpertConfig
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.disentangle import DisentangleConfig
 from jaxdeconf.mask import MaskConfig
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.pipeline import results
 from jaxdeconf.pipeline.interruption import Interruption
@@ -52,7 +52,7 @@ CONFIG = jd.Config(
         batch_size=16,
         frames=3,
         trajectory_steps=10,
-        network=ResNetConfig(width=2, stem="imagenet", stages=1, norm="none"),
+        network=NetworkConfig(width=2, stem="imagenet", stages=1, norm="none"),
     ),
     evaluate=EvaluateConfig(rollouts=3, every=0.25),
 )

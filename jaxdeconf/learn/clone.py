@@ -14,7 +14,8 @@ from jax import Array
 from jaxdeconf import checks
 from jaxdeconf.keys import named
 from jaxdeconf.learn.fit import FitConfig, FitState, Loss, Objective, Training, Variables, start
-from jaxdeconf.nets import resnet
+from jaxdeconf.nets import network
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.traced import Traced, traceable
 from jaxdeconf.vision import raster
 
@@ -39,7 +40,7 @@ class CloneConfig(FitConfig):
     # A method's own number: the weight of a penalty, the share that is dropped. None is the table's
     # of methods; the paper's have none.
     strength: Traced | None = None
-    network: resnet.ResNetConfig = field(default_factory=resnet.ResNetConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
 
     def __post_init__(self):
         super().__post_init__()
@@ -50,7 +51,7 @@ class CloneConfig(FitConfig):
             checks.positive("huber", self.huber)
         if self.strength is not None:
             checks.not_negative("strength", self.strength)
-        checks.instance("network", self.network, resnet.ResNetConfig)
+        checks.instance("network", self.network, NetworkConfig)
 
 
 # For a CPU and data of any size, in a minute: an early-pooling stem, narrow, and few steps.
@@ -61,7 +62,7 @@ CPU = CloneConfig(
     decay=0.02,
     huber=0.1,
     average=0.99,
-    network=resnet.ResNetConfig(width=16, stem="imagenet"),
+    network=NetworkConfig(width=16, stem="imagenet"),
 )
 
 
@@ -82,7 +83,7 @@ class Policy:
     """A cloned policy: what it is shown, and its network. A pytree of its weights."""
 
     view: View = field(metadata={"static": True})
-    network: resnet.ResNetConfig = field(metadata={"static": True})
+    network: NetworkConfig = field(metadata={"static": True})
     frames: int = field(metadata={"static": True})  # L
     parameters: Any  # of the view
     variables: Variables  # of the network
@@ -97,7 +98,7 @@ class Policy:
 
     def decide(self, images: Array) -> Array:
         """Actions [B, A] over the limit, for the network's input [B, H, W, 3 L] in [0, 1]."""
-        return resnet.apply(self.network, self.variables, images, train=False)[0]
+        return network.apply(self.network, self.variables, images, train=False)[0]
 
 
 def show(view: View, parameters: Any, images: Array) -> Array:
@@ -171,9 +172,9 @@ def imitate(
       data: what is cloned.
       indices: [B] the samples.
       images: [B, H, W, 3 L] what the network is given for them; `stacked` as a rule.
-      gate: see `resnet.look`.
+      gate: see `network.look`.
     """
-    predicted, features, stats = resnet.look(config.network, variables, images, True, gate)
+    predicted, features, stats = network.look(config.network, variables, images, True, gate)
     weight = None if data.weight is None else data.weight[indices]
     return action_error(config, predicted, data.actions[indices], weight), features, stats
 
@@ -217,7 +218,8 @@ def training(
         height, width, channels = data.frames.shape[1:]
         shape = height, width, config.frames * channels
         first = named(key, "policy initial weights")
-        variables = more(resnet.init(config.network, first, shape, data.actions.shape[1]))
+        variables = network.init(config.network, first, shape, data.actions.shape[1])
+        variables = more(network.before(variables, data.frames))
         return start(variables, config.average is not None)
 
     def trained(state: FitState) -> Policy:

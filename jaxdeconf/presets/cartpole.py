@@ -13,7 +13,7 @@ from jaxdeconf.evaluate import EvaluateConfig
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.disentangle import DisentangleConfig
 from jaxdeconf.mask import MaskConfig
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.pipeline.config import Config
 
@@ -36,7 +36,7 @@ PRESETS = {
             batch_size=64,
             trajectory_steps=40,
             huber=0.1,
-            network=ResNetConfig(width=4, stem="imagenet"),
+            network=NetworkConfig(width=4, stem="imagenet"),
         ),
         evaluate=EvaluateConfig(rollouts=8, training_rollouts=8, every=0.25),
     ),
@@ -65,7 +65,7 @@ PRESETS = {
             trajectory_steps=40,
             huber=0.1,
             average=0.99,
-            network=ResNetConfig(width=16, stem="imagenet"),
+            network=NetworkConfig(width=16, stem="imagenet"),
         ),
         evaluate=EvaluateConfig(every=0.25),
     ),

@@ -3,7 +3,7 @@
 J. Park et al. (2021), "Object-aware regularization for addressing causal confusion in imitation
 learning", NeurIPS 2021: codes stand for objects, and no single one can then carry the policy.
 Theirs clones on the VQ-VAE's own encoder, with five drops a sample; here the policy's network is
-the usual one, cut to where its map has the codes' size, with one drop a sample.
+the usual one, a ResNet cut to where its map has the codes' size, with one drop a sample.
 Shapes: B batch, L frames, h × w places, K codes.
 """
 
@@ -23,7 +23,9 @@ _MOST = 256  # codes that a byte tells apart
 
 
 def on_a_map(config: CloneConfig) -> CloneConfig:
-    """The policy's network, cut to the stages whose last map has the codes' size."""
+    """The policy's network; a ResNet is cut to the stages whose last map has the codes' size."""
+    if config.network.kind != "resnet":
+        return config
     stages = _STAGES[config.network.stem]
     return replace(config, network=replace(config.network, stages=stages))
 
@@ -67,7 +69,9 @@ def objective(config: CloneConfig) -> Loss:
         share = jnp.maximum(mask.mean(), 1.0 / mask.size)
 
         def gate(x: Array) -> Array:
-            return x * (mask / share)[..., None].astype(x.dtype)
+            shape = (*x.shape[:3], 1)  # of a finer map each code drops a block
+            kept = jax.image.resize((mask / share)[..., None], shape, "nearest")
+            return x * kept.astype(x.dtype)
 
         images = clone.stacked(config, data, indices)
         error, _, stats = clone.imitate(config, variables, data, indices, images, gate)

@@ -8,12 +8,12 @@ import pytest
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations, Policy
 from jaxdeconf.learn.fit import finish
-from jaxdeconf.nets import resnet
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets import network
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.views import identity
 
 SIZE = (8, 12)
-NETWORK = ResNetConfig(width=4, stem="imagenet", stages=1, norm="none")
+NETWORK = NetworkConfig(width=4, stem="imagenet", stages=1, norm="none")
 CONFIG = CloneConfig(steps=60, batch_size=16, chunk=30, learning_rate=0.01, network=NETWORK)
 LENGTHS = (3, 1, 5, 2, 4)  # of episodes
 
@@ -57,7 +57,7 @@ def test_the_loss_is_of_what_the_network_makes_of_them(monkeypatch):
         assert gate is None
         return images[:, 0, 0, :3].mean(axis=1, keepdims=True) * variables["scale"], 0, {"seen": 1}
 
-    monkeypatch.setattr(resnet, "look", look)
+    monkeypatch.setattr(network, "look", look)
     loss = clone.objective(CloneConfig(frames=3, network=NETWORK))
     value, (stats, metrics) = loss({"scale": 2.0}, data, indices, jax.random.key(0), jnp.int32(0))
     oldest = stacks_by_loops(data.frames, LENGTHS, 3)[np.asarray(indices)][:, 0, 0, :3].mean(axis=1)
@@ -78,7 +78,7 @@ def test_a_policy_learns_what_the_frame_shows():
     assert (policy.network, policy.frames, policy.parameters) == (NETWORK, 2, view)
     np.testing.assert_array_equal(policy.see(data.frames), data.frames)
     acted = policy.act([data.frames[:7], data.frames[1:8]])
-    expected, _ = resnet.apply(
+    expected, _ = network.apply(
         NETWORK, state.variables, clone.stacked(CONFIG, data, jnp.arange(1, 8)), train=False
     )
     np.testing.assert_allclose(acted, expected, atol=1e-6)

@@ -11,7 +11,7 @@ from jaxdeconf.learn.clone import CloneConfig, Demonstrations
 from jaxdeconf.learn.disentangle import DisentangleConfig
 from jaxdeconf.learn.fit import FitConfig, FitState, fit, start
 from jaxdeconf.learn.many import AXIS, Models, fit_many
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.views import identity
 
@@ -109,7 +109,7 @@ def policies():
     frames = jax.random.randint(jax.random.key(0), (SAMPLES, 16, 16, 3), 0, 256, jnp.uint8)
     actions = jax.random.uniform(jax.random.key(1), (SAMPLES, 1), minval=-1)
     data = Demonstrations(frames, jnp.arange(SAMPLES) % 8, actions)
-    network = ResNetConfig(width=4, stem="imagenet", stages=1, norm="none")
+    network = NetworkConfig(width=4, stem="imagenet", stages=1, norm="none")
     configs = [
         CloneConfig(epochs=1, batch_size=8, huber=huber, learning_rate=rate, network=network)
         for huber, rate in ((0.1, 1e-3), (0.4, 3e-3))

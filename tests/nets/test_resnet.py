@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf.nets import resnet
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets import network
+from jaxdeconf.nets.network import NetworkConfig
 
-SMALL = ResNetConfig(width=4, stem="imagenet")
+SMALL = NetworkConfig(width=4, stem="imagenet")
 
 
-init = jax.jit(resnet.init, static_argnums=(0, 2, 3))
-apply = jax.jit(resnet.apply, static_argnums=(0, 3))
+init = jax.jit(network.init, static_argnums=(0, 2, 3))
+apply = jax.jit(network.apply, static_argnums=(0, 3))
 
 
 def images(batch=6, size=(32, 32)):
@@ -22,7 +22,7 @@ def images(batch=6, size=(32, 32)):
 def test_parameter_count_is_resnet_18s():
     # torchvision-style count of He et al.'s pre-activation form with 6 input channels, 1 output.
     shapes = jax.eval_shape(
-        lambda key: resnet.init(ResNetConfig(), key, (64, 64, 6), 1), jax.random.key(0)
+        lambda key: network.init(NetworkConfig(), key, (64, 64, 6), 1), jax.random.key(0)
     )
     sizes = [np.prod(leaf.shape) for leaf in jax.tree.leaves(shapes["params"])]
     assert sum(sizes) == 11_169_281
@@ -32,7 +32,7 @@ def test_parameter_count_is_resnet_18s():
     ("stem", "norm", "size"), [("cifar", "batch", (20, 28)), ("imagenet", "none", (48, 80))]
 )
 def test_outputs_have_the_stated_shape(stem, norm, size):
-    config = ResNetConfig(width=4, stem=stem, norm=norm)
+    config = NetworkConfig(width=4, stem=stem, norm=norm)
     variables = init(config, jax.random.key(0), (*size, 6), 2)
     outputs, batch_stats = apply(config, variables, images(size=size), True)
     assert outputs.shape == (6, 2)
@@ -42,7 +42,7 @@ def test_outputs_have_the_stated_shape(stem, norm, size):
 
 def test_running_statistics_follow_the_batches():
     variables = init(SMALL, jax.random.key(0), (32, 32, 6), 1)
-    step = jax.jit(lambda variables: resnet.apply(SMALL, variables, images(), True))
+    step = jax.jit(lambda variables: network.apply(SMALL, variables, images(), True))
     trained, _ = step(variables)
     for _ in range(200):
         variables = {**variables, "batch_stats": step(variables)[1]}
@@ -73,7 +73,7 @@ def test_vmap_over_models_equals_loop_and_compiles_once():
 
         return jax.value_and_grad(loss)(variables["params"])
 
-    many = jax.vmap(lambda key: resnet.init(SMALL, key, (32, 32, 6), 1))(keys)
+    many = jax.vmap(lambda key: network.init(SMALL, key, (32, 32, 6), 1))(keys)
     together = jax.jit(jax.vmap(loss_and_gradient, (0, None)))
     losses, gradients = together(many, images())
     together(many, images())
@@ -87,7 +87,7 @@ def test_vmap_over_models_equals_loop_and_compiles_once():
 
 
 def test_bfloat16_computes_close_to_float32_with_float32_parameters():
-    half = ResNetConfig(width=4, stem="imagenet", dtype="bfloat16")
+    half = NetworkConfig(width=4, stem="imagenet", dtype="bfloat16")
     variables = init(half, jax.random.key(0), (32, 32, 6), 1)
     assert {leaf.dtype for leaf in jax.tree.leaves(variables)} == {jnp.dtype("float32")}
     outputs, _ = apply(half, variables, images(), False)
@@ -107,26 +107,19 @@ def test_bfloat16_computes_close_to_float32_with_float32_parameters():
 )
 def test_wrong_configuration_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        ResNetConfig(**arguments)
+        NetworkConfig(**arguments)
 
 
-def test_spatial_softmax_is_where_a_channel_is_high():
-    x = jnp.zeros((1, 5, 9, 2)).at[0, 1, 6, 0].set(50.0).at[0, 4, 0, 1].set(50.0)
-    found = resnet.spatial_softmax(x)
-    np.testing.assert_allclose(found, [[0.5, -1.0, -0.5, 1.0]], atol=1e-6)
-    np.testing.assert_allclose(resnet.spatial_softmax(jnp.ones((1, 4, 4, 1))), 0.0, atol=1e-6)
-
-
-def test_places_and_hidden_layers_train_too():
-    config = ResNetConfig(4, "imagenet", "none", stages=1, pool="spatial_softmax", hidden=(8, 6))
+def test_hidden_layers_train_too():
+    config = NetworkConfig(width=4, stem="imagenet", norm="none", stages=1, hidden=(8, 6))
     variables = init(config, jax.random.key(0), (32, 32, 6), 2)
-    assert variables["params"]["hidden_1"]["kernel"].shape == (8, 8)  # x and y of four channels
+    assert variables["params"]["hidden_1"]["kernel"].shape == (4, 8)
     assert variables["params"]["head"]["kernel"].shape == (6, 2)
     assert "stage_2_block_1" not in variables["params"]
 
     def loss(params):
         return jnp.sum(
-            resnet.apply(config, {**variables, "params": params}, images(), True)[0] ** 2
+            network.apply(config, {**variables, "params": params}, images(), True)[0] ** 2
         )
 
     # A norm-free block without biases: every layer gets a gradient.
@@ -135,9 +128,9 @@ def test_places_and_hidden_layers_train_too():
 
 
 def test_a_look_is_what_apply_gives_and_the_features_of_the_last_layer():
-    config = ResNetConfig(4, "imagenet", stages=2, hidden=(6,))
+    config = NetworkConfig(width=4, stem="imagenet", stages=2, hidden=(6,))
     variables = init(config, jax.random.key(0), (32, 32, 6), 2)
-    look = jax.jit(resnet.look, static_argnums=(0, 3, 4))
+    look = jax.jit(network.look, static_argnums=(0, 3, 4))
     for train in (True, False):
         outputs, features, stats = look(config, variables, images(), train, None)
         plain, plain_stats = apply(config, variables, images(), train)
@@ -149,7 +142,7 @@ def test_a_look_is_what_apply_gives_and_the_features_of_the_last_layer():
 
 
 def test_a_gate_stands_between_the_last_map_and_its_pool():
-    config, shapes = ResNetConfig(4, "imagenet", stages=2), []
+    config, shapes = NetworkConfig(width=4, stem="imagenet", stages=2), []
     variables = init(config, jax.random.key(0), (32, 48, 6), 2)
 
     def gate(x):
@@ -158,7 +151,7 @@ def test_a_gate_stands_between_the_last_map_and_its_pool():
 
     size = (32, 48)
     whole = []
-    resnet.look(config, variables, images(size=size), False, lambda x: whole.append(x) or x)
-    _, features, _ = resnet.look(config, variables, images(size=size), False, gate)
+    network.look(config, variables, images(size=size), False, lambda x: whole.append(x) or x)
+    _, features, _ = network.look(config, variables, images(size=size), False, gate)
     assert shapes == [(6, 4, 6, 8)]
     np.testing.assert_allclose(features, 2 * whole[0][:, :1].sum((1, 2)) / 24, rtol=1e-5)

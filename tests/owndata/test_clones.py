@@ -6,7 +6,7 @@ import pytest
 
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.fit import finish
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.owndata.clones import compared
 from jaxdeconf.owndata.dataset import Dataset
 
@@ -15,7 +15,7 @@ LENGTHS = np.array([5, 6] * 20)
 ACTIONS = RANDOM.uniform(-1, 1, (LENGTHS.sum(), 1)).astype(np.float32)
 CORNER = np.zeros((32, 32), bool)
 CORNER[:8, :8] = True
-NETWORK = ResNetConfig(width=4, stem="imagenet", stages=1, norm="none")
+NETWORK = NetworkConfig(width=4, stem="imagenet", stages=1, norm="none")
 CONFIG = CloneConfig(steps=60, batch_size=16, learning_rate=1e-2, network=NETWORK)
 
 

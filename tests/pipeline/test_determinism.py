@@ -23,7 +23,7 @@ from jaxdeconf.independence import permutation_p_value
 from jaxdeconf.keys import named
 from jaxdeconf.learn import clone, disentangle, fit
 from jaxdeconf.learn.clone import CloneConfig
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.pipeline import checkpoint
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.systems import random_trajectories
@@ -109,7 +109,7 @@ def test_names_and_seeds_have_different_keys():
     assert len(keys) == 20 * len(named_keys())
 
 
-NETWORK = ResNetConfig(width=2, stem="imagenet")
+NETWORK = NetworkConfig(width=2, stem="imagenet")
 CLONE = CloneConfig(batch_size=4, steps=1, network=NETWORK)
 VAE = replace(
     CONFIG.disentangle,

@@ -14,8 +14,8 @@ from jaxdeconf.collect import Collected
 from jaxdeconf.independence.hscic import hscic
 from jaxdeconf.learn.clone import Policy
 from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.nets import resnet
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets import network
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.pipeline import judge
 from jaxdeconf.systems import Trajectories
@@ -65,9 +65,9 @@ def test_what_is_left_of_the_past_is_hscic_at_the_same_steps(frames, monkeypatch
     trajectories = random_trajectories(system, jax.random.key(0), 40)
     expert = trajectories._replace(actions=trajectories.actions - trajectories.previous_actions)
     monkeypatch.setattr(
-        resnet, "apply", lambda *a, train: (2.0 * a[2][:, 1, 1, -3:-2].astype(jnp.float32) - 1, {})
+        network, "apply", lambda *a, train: (2.0 * a[2][:, 1, 1, -3:-2].astype(jnp.float32) - 1, {})
     )
-    copy = Policy(identity, ResNetConfig(width=17), frames, {}, {})
+    copy = Policy(identity, NetworkConfig(width=17), frames, {}, {})
     collected = Collected(*[expert] * 4, jnp.zeros(40, int))
     trial = judge.Trial(system, jax.random.key(1), collected, None)
     first = max(1, frames - 1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdeconf.learn import clone
 from jaxdeconf.method import Evidence
-from jaxdeconf.nets import resnet
+from jaxdeconf.nets import network
 from jaxdeconf.rivals import fca
 from jaxdeconf.views import identity, shown
 from tests.rivals import toy
@@ -30,7 +30,7 @@ def test_the_reversal_is_the_identity_whose_gradient_is_turned():
 def test_the_adversary_learns_by_its_error_and_the_features_by_the_opposite():
     data, strength = shown(toy.demos(), identity, {}, None), 0.7
     config = replace(toy.CLONE, strength=strength)
-    first = resnet.init(config.network, toy.KEY, (*toy.SIZE, 6), toy.A)
+    first = network.init(config.network, toy.KEY, (*toy.SIZE, 6), toy.A)
     variables = fca.begin(first, Evidence(), toy.KEY)
     assert variables["params"]["adversary"]["hidden"]["kernel"].shape == (2 + toy.A, 300)
     indices, at = jnp.arange(40), (toy.KEY, jnp.int32(0))
@@ -68,7 +68,7 @@ def test_the_adversary_learns_by_its_error_and_the_features_by_the_opposite():
 def test_with_first_steps_alone_there_is_nothing_to_tell():
     data = shown(toy.demos(), identity, {}, 1)
     config = replace(toy.CLONE, strength=1.0)
-    first = resnet.init(config.network, toy.KEY, (*toy.SIZE, 6), toy.A)
+    first = network.init(config.network, toy.KEY, (*toy.SIZE, 6), toy.A)
     loss = jax.jit(fca.objective(config))
     variables = fca.begin(first, Evidence(), toy.KEY)
     _, (_, metrics) = loss(variables, data, jnp.arange(40), toy.KEY, jnp.int32(0))

@@ -10,7 +10,7 @@ import pytest
 from jaxdeconf.learn import clone, disentangle
 from jaxdeconf.learn.fit import Loss
 from jaxdeconf.method import Ask, unmasked
-from jaxdeconf.nets import resnet
+from jaxdeconf.nets import network
 from jaxdeconf.rivals import latent_dropout
 from jaxdeconf.views import shown
 from tests.rivals import toy
@@ -28,7 +28,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def variables():
-    first = resnet.init(toy.NETWORK, toy.KEY, (*toy.SIZE, 6), toy.A)
+    first = network.init(toy.NETWORK, toy.KEY, (*toy.SIZE, 6), toy.A)
     return latent_dropout.begin(first, toy.evidence(), toy.KEY)
 
 
@@ -42,7 +42,7 @@ def test_the_latents_are_the_encoders_and_0_where_they_carry_nothing(data):
 
 def test_the_encoder_is_not_given_away():
     evidence = toy.evidence()
-    first = resnet.init(toy.NETWORK, toy.KEY, (*toy.SIZE, 6), toy.A)
+    first = network.init(toy.NETWORK, toy.KEY, (*toy.SIZE, 6), toy.A)
     frozen = latent_dropout.begin(first, evidence, toy.KEY)["frozen"]
     leaves = zip(*map(jax.tree.leaves, (frozen, evidence.encoder.variables)), strict=True)
     assert all(a is not b and (a == b).all() for a, b in leaves)
@@ -54,7 +54,7 @@ def images_of(loss: Loss, variables, data, monkeypatch):
     def look(config, variables, images, train, gate):
         return jnp.zeros((len(images), toy.A)), None, {"given": images}
 
-    monkeypatch.setattr(resnet, "look", look)
+    monkeypatch.setattr(network, "look", look)
     _, (stats, _) = jax.jit(loss)(variables, data, INDICES, toy.KEY, jnp.int32(0))
     return np.asarray(stats["given"])
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxdeconf.learn.clone import CloneConfig
-from jaxdeconf.nets import resnet
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets import network
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.rivals import oreo
 from jaxdeconf.views import identity, shown
 from tests.rivals import toy
@@ -38,7 +38,7 @@ def test_the_map_is_gated_by_codes_and_keeps_its_mean(monkeypatch):
     def look(config, variables, images, train, gate):
         return jnp.zeros((150, toy.A)), None, {"gated": gate(jnp.ones((150, 3, 2, 4)))}
 
-    monkeypatch.setattr(resnet, "look", look)
+    monkeypatch.setattr(network, "look", look)
     loss = jax.jit(oreo.objective(replace(toy.CLONE, strength=0.4)))
     _, (stats, metrics) = loss({}, data, indices, toy.KEY, jnp.int32(0))
     gated = np.asarray(stats["gated"])
@@ -54,12 +54,12 @@ def test_the_map_is_gated_by_codes_and_keeps_its_mean(monkeypatch):
 @pytest.mark.parametrize("stem", ["imagenet", "cifar"])
 @pytest.mark.parametrize("stages", [1, 4])
 def test_the_networks_last_map_has_the_codes_size(stem, stages):
-    network = ResNetConfig(2, stem, "none", stages=stages)
-    config = oreo.on_a_map(CloneConfig(network=network)).network
-    variables = resnet.init(config, toy.KEY, (32, 48, 6), 1)
+    asked = NetworkConfig(width=2, stem=stem, norm="none", stages=stages)
+    config = oreo.on_a_map(CloneConfig(network=asked)).network
+    variables = network.init(config, toy.KEY, (32, 48, 6), 1)
     shapes = []
     jax.eval_shape(
-        lambda x: resnet.look(config, variables, x, True, lambda x: shapes.append(x.shape) or x),
+        lambda x: network.look(config, variables, x, True, lambda x: shapes.append(x.shape) or x),
         jnp.zeros((1, 32, 48, 6)),
     )
     assert [shape[1:3] for shape in shapes] == [(4, 6)]

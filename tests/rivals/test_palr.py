@@ -10,7 +10,7 @@ import pytest
 from jaxdeconf.independence.hscic import hscic
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig
-from jaxdeconf.nets import resnet
+from jaxdeconf.nets import network
 from jaxdeconf.rivals import palr
 from jaxdeconf.views import identity, shown
 from tests.rivals import toy
@@ -18,14 +18,14 @@ from tests.rivals import toy
 
 def test_the_loss_is_the_error_and_the_strength_times_hscic_without_first_steps():
     data, config = shown(toy.demos(), identity, {}, None), replace(toy.CLONE, strength=3.0)
-    variables = resnet.init(config.network, toy.KEY, (*toy.SIZE, 6), toy.A)
+    variables = network.init(config.network, toy.KEY, (*toy.SIZE, 6), toy.A)
     indices = jnp.arange(3, 133)
     loss = jax.jit(palr.objective(config))
     value, (_, metrics) = loss(variables, data, indices, toy.KEY, jnp.int32(0))
     plain, _ = jax.jit(clone.objective(config))(variables, data, indices, toy.KEY, jnp.int32(0))
     np.testing.assert_allclose(metrics["error"], plain, rtol=1e-5)
     images = clone.stacked(config, data, indices)
-    look = jax.jit(resnet.look, static_argnums=(0, 3))
+    look = jax.jit(network.look, static_argnums=(0, 3))
     _, features, _ = look(config.network, variables, images, True)
     later = np.asarray(data.step[indices]) > 0
     assert 0 < later.sum() < len(later)

@@ -10,7 +10,7 @@ import pytest
 from jaxdeconf import evaluate
 from jaxdeconf.expert import ExpertConfig, relabel
 from jaxdeconf.learn.clone import Policy
-from jaxdeconf.nets import resnet
+from jaxdeconf.nets import network
 from jaxdeconf.systems.rollout import frames, random_trajectories
 from jaxdeconf.views import identity
 from tests.rivals import world
@@ -84,7 +84,7 @@ def test_another_key_is_another_noise(simulator, shaken):
 
 
 def test_a_policy_drives_from_the_starts_of_some_demonstrations(simulator, demos):
-    variables = resnet.init(CLONE.network, KEY, (*SIZE, 6), 1)
+    variables = network.init(CLONE.network, KEY, (*SIZE, 6), 1)
     policy = Policy(identity, CLONE.network, 2, {}, variables)
     found = simulator.driven(policy, KEY, 4, slice(3, 6))
     short = replace(SYSTEM, steps=4)

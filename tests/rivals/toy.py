@@ -9,13 +9,13 @@ from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.method import Evidence
 from jaxdeconf.nets import vae
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.nets.vae import VAEConfig
 
 KEY = jax.random.key(0)
 N, T, SIZE, A = 60, 4, (16, 24), 2
 LENGTHS = np.random.default_rng(1).integers(2, T + 1, N)
-NETWORK = ResNetConfig(width=2, stem="imagenet", stages=1, norm="none")
+NETWORK = NetworkConfig(width=2, stem="imagenet", stages=1, norm="none")
 CLONE = CloneConfig(steps=1, batch_size=32, network=NETWORK)
 LATENTS = VAEConfig(channels=(2,), latents=3, norm="none")
 

@@ -10,7 +10,7 @@ from jaxdeconf.expert import ExpertConfig, expert_trajectories
 from jaxdeconf.learn.clone import CloneConfig
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.nets import vae
-from jaxdeconf.nets.resnet import ResNetConfig
+from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.rivals.simulator import Simulator
 from jaxdeconf.systems.rollout import random_trajectories
 
@@ -21,7 +21,7 @@ EXPERT = ExpertConfig(horizon=8, initial_iterations=10)
 CLONE = CloneConfig(
     steps=4,
     batch_size=16,
-    network=ResNetConfig(width=2, stem="imagenet", stages=1, norm="none"),
+    network=NetworkConfig(width=2, stem="imagenet", stages=1, norm="none"),
 )
 VAE = vae.VAEConfig(channels=(2,), latents=3, norm="none")
 
