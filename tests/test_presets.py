@@ -27,7 +27,7 @@ BOTH = {
     "clone.network.width": 64,
     "clone.network.stem": "cifar",
     "clone.network.stages": 4,
-    "clone.network.pool": "mean",
+    "clone.network.kind": "resnet",
     "clone.network.hidden": (),
     "collect.random_steps": None,
     "collect.size": None,
