@@ -1,7 +1,7 @@
 """The policy's network: frames in, actions out.
 
 Plain functions, `init`, `apply` and `look`, hide Flax; the variables are plain pytrees that vmap
-over models. A kind of network is a Flax module in a file of its own, and a name in `_KINDS`.
+over models. A kind of network is a Flax module in a file of its own, and a name in `KINDS`.
 Shapes: B batch, H × W pixels, C channels (3 a frame, L frames stacked), A action.
 """
 
@@ -22,7 +22,7 @@ from jaxdeconf.nets.places import Places, background
 from jaxdeconf.nets.resnet import ResNet
 from jaxdeconf.traced import traceable
 
-_KINDS: dict[str, Callable[..., nn.Module]] = {"resnet": ResNet, "places": Places}
+KINDS: dict[str, Callable[..., nn.Module]] = {"resnet": ResNet, "places": Places}
 
 
 @traceable
@@ -48,7 +48,7 @@ class NetworkConfig:
     motion: float = 10.0  # "places": so much larger is a change of place than a place
 
     def __post_init__(self):
-        checks.one_of("kind", self.kind, tuple(_KINDS))
+        checks.one_of("kind", self.kind, tuple(KINDS))
         checks.integer("width", self.width)
         checks.one_of("stem", self.stem, ("cifar", "imagenet"))
         checks.one_of("norm", self.norm, ("batch", "none"))
@@ -75,7 +75,7 @@ def init(
       {"params": ..., "batch_stats": ...}; what training does not change but by looking at data,
       such as running statistics, is in `batch_stats`.
     """
-    network = _KINDS[config.kind](config, outputs)
+    network = KINDS[config.kind](config, outputs)
     shapes = jax.eval_shape(lambda: network.init(key, jnp.zeros((1, *input_shape)), train=False))
     variables = draw(shapes, key, gain=2)
     return {"params": variables["params"], "batch_stats": variables.get("batch_stats", {})}
@@ -124,6 +124,6 @@ def look(
       gate: of the last map [B, h, w, channels], just before it is pooled, to one of that shape.
     """
     outputs = variables["params"]["head"]["bias"].shape[0]
-    network = _KINDS[config.kind](config, outputs)
+    network = KINDS[config.kind](config, outputs)
     (out, features), batch_stats = layers.run(network, variables, images, train, gate=gate)
     return out, features, batch_stats
