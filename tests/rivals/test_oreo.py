@@ -63,3 +63,18 @@ def test_the_networks_last_map_has_the_codes_size(stem, stages):
         jnp.zeros((1, 32, 48, 6)),
     )
     assert [shape[1:3] for shape in shapes] == [(4, 6)]
+
+
+def test_of_a_finer_map_a_code_drops_a_block(monkeypatch):
+    extra = RNG.integers(0, 200, (toy.N, toy.T, 3, 2)).astype(np.uint8)
+    data = shown(toy.demos(), identity, {}, None, extra)
+    sizes = {(3, 2): 1, (12, 8): 4}
+
+    def look(config, variables, images, train, gate):
+        return jnp.zeros((50, toy.A)), None, [gate(jnp.ones((50, *size, 2))) for size in sizes]
+
+    monkeypatch.setattr(network, "look", look)
+    loss = jax.jit(oreo.objective(replace(toy.CLONE, strength=0.4)))
+    _, ((coarse, fine), _) = loss({}, data, jnp.arange(50), toy.KEY, jnp.int32(0))
+    assert 0 < (np.asarray(coarse) == 0).mean() < 1
+    np.testing.assert_array_equal(fine, np.kron(coarse, np.ones((1, 4, 4, 1))))
