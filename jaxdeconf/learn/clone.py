@@ -219,7 +219,7 @@ def training(
         shape = height, width, config.frames * channels
         first = named(key, "policy initial weights")
         variables = network.init(config.network, first, shape, data.actions.shape[1])
-        variables = more(network.before(variables, data.frames))
+        variables = more(network.with_background(variables, data.frames))
         return start(variables, config.average is not None)
 
     def trained(state: FitState) -> Policy:

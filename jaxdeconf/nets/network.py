@@ -81,10 +81,10 @@ def init(
     return {"params": variables["params"], "batch_stats": variables.get("batch_stats", {})}
 
 
-def before(variables: Variables, frames: Array) -> Variables:
-    """Fresh variables for what is seen before a background: that of frames [n, H, W, 3] uint8.
+def with_background(variables: Variables, frames: Array) -> Variables:
+    """Fresh variables that know the background of frames [n, H, W, 3] uint8.
 
-    Of a network that has no use for a background, they are as they were.
+    Those of a network that has no use for it are as they were.
     """
     stats = variables["batch_stats"]
     if "background" not in stats:

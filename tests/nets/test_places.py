@@ -39,9 +39,9 @@ def test_the_background_is_the_upper_median(count):
 
 def test_the_background_is_not_seen():
     shown = jnp.asarray(np.random.default_rng(0).integers(1, 256, (1, 32, 48, 3), np.uint8))
-    variables = network.before(init(CONFIG, KEY, (32, 48, 6), 2), shown)
+    variables = network.with_background(init(CONFIG, KEY, (32, 48, 6), 2), shown)
     still = jnp.concatenate([shown, shown], axis=-1) / 255.0
-    nothing = network.before(variables, jnp.zeros_like(shown))
+    nothing = network.with_background(variables, jnp.zeros_like(shown))
     _, features, _ = look(CONFIG, variables, still, True, None)
     _, of_nothing, _ = look(CONFIG, nothing, jnp.zeros_like(still), True, None)
     np.testing.assert_allclose(features, of_nothing, atol=1e-6)
@@ -49,7 +49,7 @@ def test_the_background_is_not_seen():
 
 def test_training_leaves_the_background_alone():
     shown = jnp.full((3, 32, 48, 3), 7, jnp.uint8)
-    variables = network.before(init(CONFIG, KEY, (32, 48, 6), 2), shown)
+    variables = network.with_background(init(CONFIG, KEY, (32, 48, 6), 2), shown)
     _, _, stats = look(CONFIG, variables, frames(2), True, None)
     np.testing.assert_array_equal(stats["background"], variables["batch_stats"]["background"])
     np.testing.assert_allclose(stats["background"], 7 / 255, rtol=1e-6)
