@@ -69,8 +69,9 @@ def inpainted(config: vae.VAEConfig) -> View:
 
     def view(parameters: Variables, images: Array) -> Array:
         drawn = redrawn(parameters, images)
-        none, size = jnp.zeros((1, config.latents)), images.shape[1:3]
-        still, _ = vae.decode(config, parameters["variables"], none, size, train=False)
+        _, height, width, _ = images.shape
+        none = jnp.zeros((1, config.latents))
+        still, _ = vae.decode(config, parameters["variables"], none, (height, width), train=False)
         faint = jnp.abs(drawn - still).max(axis=-1, keepdims=True) < _FAINT
         drawn = jnp.where(faint, still, drawn)
         return jnp.where(parameters["region"][..., None], drawn, images)
