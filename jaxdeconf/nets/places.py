@@ -2,9 +2,9 @@
 
 One convolution over what differs from the background; of each channel its amount and its centroid;
 of these what they are in the present frame, and how they changed from frame to frame; dense layers.
-On a CPU's budget it sees an arm some ten times as exactly as a ResNet (docs/reacher.md). Ours; the
-nearest in the literature are the spatial softmax of Levine et al. (2016), whose places a wide
-background blurs, and motion as an input beside places.
+Cloned on a CPU's budget, Reacher's arm arrives with it, and with a ResNet's first stage does not
+(docs/reacher.md). Ours; the nearest in the literature is the spatial softmax of Levine et al.
+(2016), whose places a wide background blurs.
 Shapes: B batch, L frames, H × W pixels, h × w half of them, C channels, A action, F features.
 """
 
@@ -19,7 +19,7 @@ from jaxdeconf.nets.layers import Config, conv, dense
 
 _SIDE, _STRIDE = 5, 2  # of the convolution; at full resolution it sees no better, at 3 × 3 worse
 _FRAMES = 512  # of which the background is the median
-# Of a channel's mean over the map: a few hundredths, as a rule, where places are a few tenths.
+# Of a channel's mean over the map, which is small beside places: shapes are a small part of it.
 _AMOUNT = 10.0
 
 
@@ -27,7 +27,7 @@ _AMOUNT = 10.0
 def background(frames: Array) -> Array:
     """[H, W, 3] in [0, 1]: each pixel's median over frames [n, H, W, 3] uint8, some 512 of them.
 
-    The upper median, found bit by bit: sorting takes longer, to compile and to run.
+    The upper median, found bit by bit: nothing is sorted.
     """
     some = frames[:: max(1, len(frames) // _FRAMES)]
     found = jnp.zeros(some.shape[1:], some.dtype)
