@@ -4,7 +4,7 @@ How well what the nuisance shows can be told from one frame, as each method is s
 held-out frames, by the kernel regression that every run reports (`jaxdeconf/leakage.py`), and by
 networks that are trained to tell it from all exploration frames: a ResNet-18 of width 16, and
 centroids before the background (`nets/places.py`). 0, or less, is no leak. A laptop preset's data,
-β-VAE and mask, learnt anew for each seed: three minutes a seed on CartPole, six on Reacher.
+β-VAE and mask, learnt anew for each seed.
 """
 
 import argparse
