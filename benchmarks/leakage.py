@@ -12,6 +12,7 @@ import argparse
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxdeconf import collect, systems
 from jaxdeconf.commands.guard import cache_compilations
@@ -48,10 +49,13 @@ def learnt(config: Config, trial: Trial) -> Evidence:
     return evidence_for(config, trial, encoder, mask, region)
 
 
-def told(trial: Trial, view: clone.View, parameters: object, network: NetworkConfig) -> float:
-    """R², the mean over what the nuisance shows, of a network that sees one frame."""
-    explored = collect.exploration(trial.system, trial.collected.random)
-    seen, signals = see(view, parameters, explored.images), explored.signals
+def told(
+    seen: Array, signals: Array, asked: Array, truth: Array, network: NetworkConfig, key: Array
+) -> float:
+    """R², the mean over what the nuisance shows, of a network that sees one frame.
+
+    It learns from frames [n, H, W, 3], which show signals [n, A], and is asked of others.
+    """
     config = CloneConfig(
         steps=STEPS,
         batch_size=BATCH,
@@ -62,10 +66,8 @@ def told(trial: Trial, view: clone.View, parameters: object, network: NetworkCon
         network=network,
     )
     data = Demonstrations(seen, jnp.zeros(len(seen), jnp.int32), signals)
-    training = clone.training(config, lambda: data, len(seen), identity, {}, trial.key)
+    training = clone.training(config, lambda: data, len(seen), identity, {}, key)
     policy = training.trained(finish("leakage", training))
-    images, _, truth = trial.held_out
-    asked = see(view, parameters, images)
     guess = jax.jit(lambda x: jax.lax.map(lambda one: policy.act([one[None]])[0], x, batch_size=64))
     error = ((np.asarray(guess(asked)) - np.asarray(truth)) ** 2).mean(axis=0)
     return float((1 - error / np.asarray(truth).var(axis=0)).mean())
@@ -84,10 +86,15 @@ def main() -> None:
         key = jax.random.key(seed)
         trial = judge.trial(system, key, collect_for(config, system, key))
         evidence = learnt(config, trial)
+        explored, held_out = collect.exploration(system, trial.collected.random), trial.held_out
         for name in NAMES:
             view, parameters = METHODS[name].view(evidence)
+            seen, asked_of = (see(view, parameters, of.images) for of in (explored, held_out))
             row = [float(judge.leaked(trial, view, parameters))]
-            row += [told(trial, view, parameters, network) for network in NETWORKS.values()]
+            row += [
+                told(seen, explored.signals, asked_of, held_out.signals, network, key)
+                for network in NETWORKS.values()
+            ]
             print(seed, "|", name, "|", " | ".join(f"{value:.4f}" for value in row), flush=True)
 
 

@@ -34,6 +34,17 @@ def dense(config: Config, features: int, name: str) -> nn.Dense:
     return nn.Dense(features, dtype=jnp.dtype(config.dtype), name=name)
 
 
+def answer(config: Config, outputs: int, x: Array) -> tuple[Array, Array]:
+    """A network's end: the config's hidden layers, and a last one, `head`, of so many outputs.
+
+    Returns:
+      The outputs, and what the last layer was given.
+    """
+    for i, features in enumerate(config.hidden, 1):
+        x = nn.relu(dense(config, features, f"hidden_{i}")(x))
+    return dense(config, outputs, "head")(x), x
+
+
 def norm(config: Config, x: Array, train: bool, name: str) -> Array:
     """Batch normalisation, or x itself where the config wants none."""
     if config.norm == "none":

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jax import Array
 
-from jaxdeconf.nets.layers import Config, conv, dense
+from jaxdeconf.nets.layers import Config, answer, conv
 
 _SIDE, _STRIDE = 5, 2  # of the convolution; at full resolution it sees no better, at 3 × 3 worse
 _FRAMES = 512  # of which the background is the median
@@ -71,9 +71,7 @@ class Places(nn.Module):
         seen = places(x.astype(jnp.float32)).reshape(batch, count, -1)
         moved = (seen[:, 1:] - seen[:, :-1]) * shown[:, :-1, None] * self.config.motion
         x = jnp.concatenate([seen[:, -1], moved.reshape(batch, -1)], axis=1)
-        for i, features in enumerate(self.config.hidden, 1):
-            x = nn.relu(dense(self.config, features, f"hidden_{i}")(x))
-        return dense(self.config, self.outputs, "head")(x), x
+        return answer(self.config, self.outputs, x)
 
 
 def _gated(x: Array, count: int, gate: Any) -> Array:

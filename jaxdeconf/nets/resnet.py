@@ -11,7 +11,7 @@ from jax import Array
 
 from jaxdeconf.nets import layers
 from jaxdeconf.nets.cpu import max_pool
-from jaxdeconf.nets.layers import Config, dense
+from jaxdeconf.nets.layers import Config
 
 _conv = partial(layers.conv, use_bias=False)
 
@@ -63,7 +63,4 @@ class ResNet(nn.Module):
                 )(x, train)
         x = _norm_relu(self.config, x, train, "norm")
         x = x if gate is None else gate(x)
-        x = x.mean((1, 2))
-        for i, features in enumerate(self.config.hidden, 1):
-            x = nn.relu(dense(self.config, features, f"hidden_{i}")(x))
-        return dense(self.config, self.outputs, "head")(x), x
+        return layers.answer(self.config, self.outputs, x.mean((1, 2)))

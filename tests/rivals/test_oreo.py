@@ -68,7 +68,7 @@ def test_the_networks_last_map_has_the_codes_size(stem, stages):
 def test_of_a_finer_map_a_code_drops_a_block(monkeypatch):
     extra = RNG.integers(0, 200, (toy.N, toy.T, 3, 2)).astype(np.uint8)
     data = shown(toy.demos(), identity, {}, None, extra)
-    sizes = {(3, 2): 1, (12, 8): 4}
+    sizes = (3, 2), (12, 8)
 
     def look(config, variables, images, train, gate):
         return jnp.zeros((50, toy.A)), None, [gate(jnp.ones((50, *size, 2))) for size in sizes]
