@@ -8,6 +8,7 @@ centroids before the background (`nets/places.py`). 0, or less, is no leak. A la
 """
 
 import argparse
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,6 @@ from jax import Array
 
 from jaxdeconf import collect, systems
 from jaxdeconf.commands.guard import cache_compilations
-from jaxdeconf.deconfound import learn_latents, mask_latents
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations
 from jaxdeconf.learn.fit import finish
@@ -26,11 +26,13 @@ from jaxdeconf.nets.network import NetworkConfig
 from jaxdeconf.pipeline import judge
 from jaxdeconf.pipeline.config import Config
 from jaxdeconf.pipeline.judge import Trial
-from jaxdeconf.pipeline.run import collect_for, evidence_for, region_for
+from jaxdeconf.pipeline.progress import Reporter
+from jaxdeconf.pipeline.run import collect_for, deconfounded, evidence_for, region_for
+from jaxdeconf.pipeline.stages import Run
+from jaxdeconf.pipeline.store import Nowhere
 from jaxdeconf.presets import PRESETS
 from jaxdeconf.views import identity, see
 
-NAMES = ("BcVanilla", "BcManual", "Masked", "Inpainted")
 NETWORKS = {
     "ResNet": NetworkConfig(width=16, stem="imagenet"),
     "places": NetworkConfig(kind="places", width=16, hidden=(128,)),
@@ -40,13 +42,9 @@ STEPS, BATCH = 2000, 64
 
 def learnt(config: Config, trial: Trial) -> Evidence:
     """What a run of that config learns of the frames."""
-    images = collect.exploration(trial.system, trial.collected.random).images
-    encoder = learn_latents(images, trial.held_out.images, trial.key, config.disentangle)
-    steps = config.mask.reaction_horizon
-    first = collect.demonstrations(trial.system, trial.collected.expert, steps)
-    mask = mask_latents(encoder, first, config.mask).mask
-    region = region_for(trial, encoder, mask, NAMES)
-    return evidence_for(config, trial, encoder, mask, region)
+    encoder, found = deconfounded(Run(config, Nowhere(), Reporter()), trial)
+    region = region_for(trial, encoder, found.mask, config.methods)
+    return evidence_for(config, trial, encoder, found.mask, region)
 
 
 def told(
@@ -78,16 +76,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--system", default="cartpole", choices=sorted(PRESETS))
     parser.add_argument("--seeds", type=int, default=3)
+    names = ["BcVanilla", "BcManual", "Masked", "Inpainted"]
+    parser.add_argument("--methods", nargs="+", default=names, choices=names)
     asked = parser.parse_args()
     cache_compilations()
     config, system = PRESETS[asked.system]["laptop"], systems.get(asked.system)
+    config = replace(config, methods=tuple(asked.methods))
     print("seed | shown as to | regression |", " | ".join(NETWORKS))
     for seed in range(asked.seeds):
         key = jax.random.key(seed)
         trial = judge.trial(system, key, collect_for(config, system, key))
-        evidence = learnt(config, trial)
+        evidence = learnt(replace(config, seed=seed), trial)
         explored, held_out = collect.exploration(system, trial.collected.random), trial.held_out
-        for name in NAMES:
+        for name in config.methods:
             view, parameters = METHODS[name].view(evidence)
             seen, asked_of = (see(view, parameters, of.images) for of in (explored, held_out))
             row = [float(judge.leaked(trial, view, parameters))]
