@@ -72,7 +72,7 @@ METHODS: dict[str, Method] = {
     ),
     "Inpainted": Method(
         _inpainted,
-        "The frames as they are, but where the masked latents reach: there as Masked sees them.",
+        "The frames as they are, but for a patch that stands still where the masked latents reach.",
         needs=("encoder", "mask", "region"),
     ),
     "Reconstructed": Method(

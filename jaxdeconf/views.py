@@ -20,9 +20,6 @@ from jaxdeconf.learn.clone import Demonstrations, View, show
 from jaxdeconf.learn.fit import Variables
 from jaxdeconf.nets import vae
 
-# Of a colour's range: on Reacher a region's pixels are drawn 0.12 off where nothing is there.
-_FAINT = 0.15
-
 
 def identity(_: Variables, images: Array) -> Array:
     """Frames [B, H, W, 3] as they are."""
@@ -59,22 +56,24 @@ def reconstructed(config: vae.VAEConfig) -> View:
 
 @cache
 def inpainted(config: vae.VAEConfig) -> View:
-    """Frames as they are, but for a region, which is drawn as `reconstructed` draws it.
+    """Frames as they are, but for a region, which stands still: as the decoder draws no latent.
 
-    Where that is all but what no latent is needed to draw, it is drawn so, and stands still: what
-    little the kept latents do there is the decoder's noise, in which a trace of masked ones is.
+    Nothing that is kept is drawn there, since latents may be mixed: one that shows the pose and a
+    little of the nuisance is kept. A region that is the whole image is drawn as `reconstructed`.
     Its parameters are those of `reconstructed`, and {"region": [H, W] bool}.
     """
-    redrawn = reconstructed(config)
 
     def view(parameters: Variables, images: Array) -> Array:
-        drawn = redrawn(parameters, images)
         _, height, width, _ = images.shape
-        none = jnp.zeros((1, config.latents))
-        still, _ = vae.decode(config, parameters["variables"], none, (height, width), train=False)
-        faint = jnp.abs(drawn - still).max(axis=-1, keepdims=True) < _FAINT
-        drawn = jnp.where(faint, still, drawn)
-        return jnp.where(parameters["region"][..., None], drawn, images)
+        region, none = parameters["region"], jnp.zeros((1, config.latents))
+
+        def still(images: Array) -> Array:
+            size, variables = (height, width), parameters["variables"]
+            drawn, _ = vae.decode(config, variables, none, size, train=False)
+            return jnp.where(region[..., None], drawn, images)
+
+        whole = partial(reconstructed(config), parameters)
+        return jax.lax.cond(region.all(), whole, still, images)
 
     return view
 

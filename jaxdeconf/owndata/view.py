@@ -26,6 +26,7 @@ from jaxdeconf.pipeline.plain import UNREADABLE, from_plain, write_json
 from jaxdeconf.views import inpainted
 
 _BATCH = 64  # frames at a time
+_FORM = 2  # what it draws of what it holds: since 0.6.1 a region stands still
 
 
 class View:
@@ -91,7 +92,8 @@ def save_view(folder: Path, view: View) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = named_arrays(view.parameters)
     np.savez(folder / "arrays.npz", **arrays)
-    write_json(folder / "view.json", {"network": view.network, "size": len(view.region)})
+    about = {"form": _FORM, "network": view.network, "size": len(view.region)}
+    write_json(folder / "view.json", about)
 
 
 def load_view(directory: Path | str) -> View:
@@ -100,12 +102,14 @@ def load_view(directory: Path | str) -> View:
     Args:
       directory: DIR, or the folder `view` in it.
     Raises:
-      ValueError: if there is none, or it is damaged.
+      ValueError: if there is none, it is damaged, or a version that drew otherwise left it.
     """
     folder = Path(directory)
     folder = folder / "view" if (folder / "view").is_dir() else folder
     try:
         about = json.loads((folder / "view.json").read_text(encoding="utf-8"))
+        if about.get("form") != _FORM:
+            raise ValueError("one of another version, which draws otherwise: mask the data again")
         network, size = from_plain(vae.VAEConfig, about["network"]), about["size"]
         fresh = jax.eval_shape(lambda key: vae.init(network, key, (size, size)), jax.random.key(0))
         like = {"variables": fresh, "keep": 0, "region": 0}

@@ -210,6 +210,15 @@ def test_a_damaged_view_is_named(masked, tmp_path):
         jd.load_view(tmp_path)
 
 
+def test_a_view_that_draws_otherwise_is_refused(masked, tmp_path):
+    """As a version before 0.6.1 left it."""
+    about = json.loads((masked / "out/view/view.json").read_text(encoding="utf-8"))
+    del about["form"]
+    (tmp_path / "view.json").write_text(json.dumps(about))
+    with pytest.raises(ValueError, match=r"got one of another version, .*: mask the data again$"):
+        jd.load_view(tmp_path)
+
+
 def test_what_is_finished_is_only_said_again(masked, capsys):
     before = (masked / "out/results.json").stat().st_mtime_ns
     assert command.main(["--resume", str(masked / "out")]) == 0
