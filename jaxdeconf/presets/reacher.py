@@ -4,8 +4,8 @@
     jaxdeconf reacher --preset smoke     every stage in a minute or two; its numbers mean nothing
     jaxdeconf reacher --preset paper     the paper's sizes, for a GPU
 
-Laptop, five seeds: the nuisance's latents, and no other, are masked on all; BcVanilla's rollout
-loss is 5.9 times BcManual's, Masked's 3.8 times, Inpainted's 1.05 times (docs/results.md).
+Laptop, ten seeds: no latent but the nuisance's is masked; BcVanilla's rollout loss is 5.2 times
+BcManual's, Masked's 3.4 times, Inpainted's 1.02 times (docs/results.md).
 """
 
 from jaxdeconf.collect import CollectConfig
