@@ -12,13 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxdeconf import checks
+from jaxdeconf import checks, views
 from jaxdeconf.demos import Demos, Exploration
 from jaxdeconf.learn import clone
 from jaxdeconf.learn.clone import CloneConfig, Demonstrations, View
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import FitState, Objective, Training, Variables, Watch, finish
-from jaxdeconf.views import identity, reconstructed, shown
 
 
 class Evidence(NamedTuple):
@@ -57,7 +56,7 @@ class Price(NamedTuple):
 
 def as_they_are(_: Evidence) -> tuple[View, Any]:
     """A view of the frames as they are."""
-    return identity, {}
+    return views.identity, {}
 
 
 def masked(evidence: Evidence) -> tuple[View, Any]:
@@ -72,9 +71,21 @@ def unmasked(evidence: Evidence) -> tuple[View, Any]:
     return _kept(evidence.encoder, evidence.encoder.active)
 
 
+def inpainted(evidence: Evidence) -> tuple[View, Any]:
+    """A view of the frames as they are, but for the region that masked latents reach.
+
+    Where that is the whole image, it is `masked`.
+    """
+    assert evidence.encoder is not None
+    assert evidence.region is not None
+    if evidence.region.all():
+        return masked(evidence)
+    return views.inpainted, views.still(evidence.encoder, evidence.region)
+
+
 def _kept(encoder: Encoder, keep: Array) -> tuple[View, Any]:
     parameters = {"variables": encoder.variables, "keep": keep}
-    return reconstructed(encoder.network), parameters
+    return views.reconstructed(encoder.network), parameters
 
 
 def given(demos: Demos, _: Evidence, __: Ask) -> Demos:
@@ -164,7 +175,7 @@ def cloning(
         made, asked = demos(), ask._replace(watch=watch)
         imitate = method.data(made, evidence, asked)
         extra = None if method.extra is None else method.extra(imitate, evidence, asked)
-        cloned = shown(imitate, view, parameters, ask.config.trajectory_steps, extra)
+        cloned = views.shown(imitate, view, parameters, ask.config.trajectory_steps, extra)
         checks.same_length("data", len(cloned.actions), samples, "steps")
         return cloned
 

@@ -8,13 +8,11 @@ what is cloned and driven, what depends on what.
 from collections.abc import Collection
 from typing import Any
 
-import jax.numpy as jnp
-
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import View
-from jaxdeconf.method import Evidence, Method, as_they_are, masked, unmasked
+from jaxdeconf.method import Evidence, Method, as_they_are, inpainted, masked, unmasked
 from jaxdeconf.rivals import fair, oracles
-from jaxdeconf.views import covered, inpainted
+from jaxdeconf.views import covered
 
 
 def usual() -> tuple[str, ...]:
@@ -50,13 +48,6 @@ def _by_hand(evidence: Evidence) -> tuple[View, Any]:
     return covered(evidence.cover), {}
 
 
-def _inpainted(evidence: Evidence) -> tuple[View, Any]:
-    assert evidence.encoder is not None
-    _, parameters = masked(evidence)
-    parameters["region"] = jnp.asarray(evidence.region)
-    return inpainted(evidence.encoder.network), parameters
-
-
 METHODS: dict[str, Method] = {
     "BcVanilla": Method(as_they_are, "The frames as they are."),
     "BcManual": Method(
@@ -71,7 +62,7 @@ METHODS: dict[str, Method] = {
         needs=("encoder", "mask"),
     ),
     "Inpainted": Method(
-        _inpainted,
+        inpainted,
         "The frames as they are, but for a patch that stands still where the masked latents reach.",
         needs=("encoder", "mask", "region"),
     ),

@@ -25,8 +25,10 @@ from jax import Array
 from jaxdeconf import checks, leakage
 from jaxdeconf.keys import named
 from jaxdeconf.learn import disentangle
+from jaxdeconf.learn.clone import View
 from jaxdeconf.learn.disentangle import Encoder
-from jaxdeconf.views import inpainted, see
+from jaxdeconf.learn.fit import Variables
+from jaxdeconf.views import inpainted, reconstructed, see, still
 
 _FRAMES = 2048  # of those that are given, at even distances
 # Mean squared change, in grey levels of 255: a decoder's own noise is about one level.
@@ -61,19 +63,19 @@ def find_region(encoder: Encoder, mask: Array, images: Array, key: Array) -> Arr
         return jnp.zeros(size, bool)
     mean, _ = disentangle.encode(encoder.network, encoder.variables, images)
     latents = jnp.where(encoder.active, mean, 0.0)
-    view, half = inpainted(encoder.network), len(images) // 2
-    parameters = {"variables": encoder.variables, "keep": encoder.active & ~mask}
+    half = len(images) // 2
 
-    def told(region: Array) -> float:
+    def told(view: View, parameters: Variables) -> float:
         """R² of the masked latents, from what is seen of the frames."""
-        seen = see(view, {**parameters, "region": region}, images)
-        signal, of = latents[:, mask], named(key, "region")
+        seen, of = see(view, parameters, images), named(key, "region")
+        signal = latents[:, mask]
         return float(leakage.r_squared(seen[:half], signal[:half], seen[half:], signal[half:], of))
 
-    whole = jnp.ones(size, bool)
-    most = told(whole) + _LEAK
+    drawn = {"variables": encoder.variables, "keep": encoder.active & ~mask}
+    most = told(reconstructed(encoder.network), drawn) + _LEAK
     regions = _growing(_reached(encoder, mask, latents, size))
-    return next((region for region in regions if told(region) <= most), whole)
+    local = (region for region in regions if told(inpainted, still(encoder, region)) <= most)
+    return next(local, jnp.ones(size, bool))
 
 
 def _reached(encoder: Encoder, mask: Array, latents: Array, size: tuple[int, int]) -> np.ndarray:

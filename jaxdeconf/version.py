@@ -1,3 +1,3 @@
 """The version, which a run directory is of."""
 
-__version__ = "0.6.1"
+__version__ = "0.7.0"

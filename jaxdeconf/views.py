@@ -16,7 +16,9 @@ import numpy as np
 from jax import Array
 
 from jaxdeconf.demos import Demos
+from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.clone import Demonstrations, View, show
+from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.learn.fit import Variables
 from jaxdeconf.nets import vae
 
@@ -54,28 +56,23 @@ def reconstructed(config: vae.VAEConfig) -> View:
     return view
 
 
-@cache
-def inpainted(config: vae.VAEConfig) -> View:
-    """Frames as they are, but for a region, which stands still: as the decoder draws no latent.
+def inpainted(parameters: Variables, images: Array) -> Array:
+    """Frames as they are, but for a region, which stands still.
+
+    Its parameters are {"region": [H, W] bool, "still": uint8 [H, W, 3]}.
+    """
+    return jnp.where(parameters["region"][..., None], parameters["still"] / 255.0, images)
+
+
+def still(encoder: Encoder, region: Array) -> Variables:
+    """The parameters of `inpainted` by which a region [H, W] is as the decoder draws no latent.
 
     Nothing that is kept is drawn there, since latents may be mixed: one that shows the pose and a
-    little of the nuisance is kept. A region that is the whole image is drawn as `reconstructed`.
-    Its parameters are those of `reconstructed`, and {"region": [H, W] bool}.
+    little of the nuisance is kept.
     """
-
-    def view(parameters: Variables, images: Array) -> Array:
-        _, height, width, _ = images.shape
-        region, none = parameters["region"], jnp.zeros((1, config.latents))
-
-        def still(images: Array) -> Array:
-            size, variables = (height, width), parameters["variables"]
-            drawn, _ = vae.decode(config, variables, none, size, train=False)
-            return jnp.where(region[..., None], drawn, images)
-
-        whole = partial(reconstructed(config), parameters)
-        return jax.lax.cond(region.all(), whole, still, images)
-
-    return view
+    none, size = jnp.zeros((1, encoder.network.latents)), (region.shape[0], region.shape[1])
+    drawn = disentangle.decode(encoder.network, encoder.variables, none, size)
+    return {"region": region, "still": drawn[0]}
 
 
 @partial(jax.jit, static_argnames="view")

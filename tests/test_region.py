@@ -9,7 +9,7 @@ from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.nets import vae
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.region import find_region
-from jaxdeconf.views import inpainted, see
+from jaxdeconf.views import inpainted, see, still
 
 KEY = jax.random.key(0)
 SIZE = (16, 24)
@@ -56,8 +56,7 @@ def encoder(drawn=SHAPES, tint=0.0):
 
 def told(encoder, region, images, shades):
     """R² of the nuisance's shade from the inpainted frames."""
-    parameters = {"variables": encoder.variables, "keep": ACTIVE & ~MASK, "region": region}
-    seen, signal = see(inpainted(CONFIG), parameters, images), shades[:, 2:]
+    seen, signal = see(inpainted, still(encoder, region), images), shades[:, 2:]
     return leakage.r_squared(seen[:600], signal[:600], seen[600:], signal[600:], KEY)
 
 

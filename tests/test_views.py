@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from jaxdeconf import systems, views
+from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.method import Evidence, inpainted, masked
 from jaxdeconf.nets import vae
 from jaxdeconf.nets.vae import VAEConfig
 
@@ -54,22 +56,25 @@ def test_a_masked_reconstruction_does_not_depend_on_a_masked_latent(grains, vari
     assert (nothing == nothing[0]).all()
 
 
+def learnt(variables):
+    return Encoder(CONFIG, variables, jnp.ones(3), jnp.ones(3, bool))
+
+
 def test_a_region_stands_still_and_all_else_is_as_it_was(grains, variables):
     region = np.zeros((64, 64), bool)
     region[10:20, 5:40] = True
-    parameters = {"variables": variables, "keep": jnp.array([True, False, True])}
-    seen = views.see(views.inpainted(CONFIG), {**parameters, "region": region}, grains)
+    mask = jnp.array([False, True, False])
+    view, parameters = inpainted(Evidence(learnt(variables), mask, jnp.asarray(region)))
+    seen = views.see(view, parameters, grains)
     still = np.asarray(reconstruction(variables, grains, [False] * 3))
     np.testing.assert_array_equal(seen[:, ~region], grains[:, ~region])
     np.testing.assert_allclose(seen[:, region].astype(float), still[:, region] * 255, atol=0.51)
 
 
 def test_a_region_that_is_the_whole_image_is_reconstructed(grains, variables):
-    parameters = {"variables": variables, "keep": jnp.array([True, False, True])}
-    whole = {**parameters, "region": np.ones((64, 64), bool)}
-    seen = views.see(views.inpainted(CONFIG), whole, grains)
-    drawn = views.see(views.reconstructed(CONFIG), parameters, grains)
-    np.testing.assert_allclose(seen.astype(float), drawn.astype(float), atol=1)
+    whole = Evidence(learnt(variables), jnp.array([False, True, False]), jnp.ones((64, 64), bool))
+    seen, drawn = (views.see(*by(whole), grains) for by in (inpainted, masked))
+    np.testing.assert_array_equal(seen, drawn)
     assert (seen != seen[0]).any()
 
 

@@ -141,7 +141,7 @@ def _masked(
     with _timed(this, "region"):
         some = jnp.asarray(frames[:: -(-len(frames) // _REGION)])
         region = find_region(encoder, jnp.asarray(found.mask), some, this.key)
-    view = make_view(encoder, found.mask, region)
+    view = make_view(encoder, jnp.asarray(found.mask), region)
     with _timed(this, "judge"):
         found = _compared(this, demos, exploration, found, view, encoder)
     with _timed(this, "write"), writing(directory):
@@ -150,7 +150,7 @@ def _masked(
         save_view(directory / "view", view)
     if config.clone:
         found = found._replace(clones=_clones(this, demos, view))
-    mode = "reconstruct" if view.region.all() else "inpaint"
+    mode = "inpaint" if view.local else "reconstruct"
     written = Written(mode, int(view.region.sum()), list(source.size))
     return found._replace(written=written), _pictures(demos, view)
 
@@ -200,8 +200,8 @@ def _compared(
     this: Run, demos: Dataset, exploration: Dataset, found: Found, view: View, encoder: Encoder
 ) -> Found:
     """Leakage and retention, of frames as they are and as they are written."""
-    checked, nothing = found.check, np.zeros(len(encoder.active), bool)
-    whole = make_view(encoder, nothing, np.ones_like(view.region))
+    checked, nothing = found.check, jnp.zeros(len(encoder.active), bool)
+    whole = make_view(encoder, nothing, jnp.ones(view.region.shape, bool))
     moves = checked.state_action.max(axis=(1, 2)) > checked.threshold
     kept = judge.retention(_begin(demos, checked), demos.starts, view, this.key)
     return found._replace(

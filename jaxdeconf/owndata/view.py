@@ -1,7 +1,8 @@
 """The view that a masking leaves: from a camera's frames to the same without the nuisance.
 
-    DIR/view/view.json     the β-VAE's shape, the size that it learnt
-    DIR/view/arrays.npz    its weights, the latents that are kept, the pixels that are redrawn
+    DIR/view/view.json     the size that was learnt, and the β-VAE's shape
+    DIR/view/arrays.npz    the pixels that stand still, and what they show; of a view that redraws
+                           the whole frame, the β-VAE's weights and the latents that are kept
 
 NumPy in and out, nothing pickled. Shapes: B batch, H × W pixels of the camera's, Z × Z of ours.
 """
@@ -12,34 +13,41 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxdeconf import checks
 from jaxdeconf.learn.clone import show
 from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.method import Evidence, inpainted
 from jaxdeconf.nets import vae
 from jaxdeconf.owndata.dataset import fitted, unfitted
 from jaxdeconf.pipeline.checkpoint import named_arrays, read_arrays
 from jaxdeconf.pipeline.plain import UNREADABLE, from_plain, write_json
-from jaxdeconf.views import inpainted
+from jaxdeconf.views import reconstructed
 
 _BATCH = 64  # frames at a time
-_FORM = 2  # what it draws of what it holds: since 0.6.1 a region stands still
+_FORM = 3  # what is held, and what is drawn of it
 
 
 class View:
     """Frames without what the masked latents show; to be put before a policy at run time.
 
     A view is what the dataset was written with: `view(frames)` of a frame of the old dataset is the
-    frame of the new one.
+    frame of the new one. Where only a part of the image is redrawn, no network is asked.
     """
 
-    def __init__(self, network: vae.VAEConfig, parameters: Any):
-        """Of parameters as of `views.inpainted`; use `load_view`."""
+    def __init__(self, network: vae.VAEConfig, parameters: Any, size: int):
+        """Of parameters as of `views.inpainted`, or of `views.reconstructed`; use `load_view`."""
         self.network, self.parameters = network, parameters
-        self.region = np.asarray(parameters["region"])
+        whole = np.ones((size, size), bool)
+        self.region = np.asarray(parameters["region"]) if self.local else whole
+        self._patches: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+
+    @property
+    def local(self) -> bool:
+        """Whether only a part of the image is redrawn."""
+        return "region" in self.parameters
 
     def __call__(self, frames: np.ndarray) -> np.ndarray:
         """Redraws frames.
@@ -54,21 +62,27 @@ class View:
         given = np.asarray(frames)
         shape = (None,) * (given.ndim == 4) + (None, None, 3)
         checks.array("frames", given, "[H, W, 3] or [B, H, W, 3]", shape, "uint8")
+        if self.local:
+            return np.where(*self._patch(given.shape[-3:-1]), given)
         if given.ndim == 3:
             return self(given[None])[0]
         parts = [self._redrawn(given[i : i + _BATCH]) for i in range(0, len(given), _BATCH)]
         return np.concatenate(parts)
 
+    def _patch(self, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """What stands still in frames of a shape: where, [H, W, 1] bool, and uint8 [H, W, 3]."""
+        if shape not in self._patches:
+            still = unfitted(np.asarray(self.parameters["still"])[None], shape)[0]
+            self._patches[shape] = self.region_at(shape)[..., None], still
+        return self._patches[shape]
+
     def _redrawn(self, frames: np.ndarray) -> np.ndarray:
         size, shape = len(self.region), frames.shape[1:3]
-        if not self.region.any():
-            return frames.copy()
         # Batches of a power of two: a program for each of seven sizes, not for each there is.
         padded = np.zeros((1 << (len(frames) - 1).bit_length(), size, size, 3), np.uint8)
         padded[: len(frames)] = fitted(frames, size)
-        drawn = np.asarray(_draw(inpainted(self.network), self.parameters, padded))
-        drawn = unfitted(drawn[: len(frames)], shape)
-        return np.where(self.region_at(shape)[..., None], drawn, frames)
+        drawn = np.asarray(_draw(reconstructed(self.network), self.parameters, padded))
+        return unfitted(drawn[: len(frames)], shape)
 
     def region_at(self, shape: tuple[int, int]) -> np.ndarray:
         """[H, W] bool: the pixels, of frames of that shape, that are redrawn."""
@@ -80,11 +94,10 @@ def _draw(view: Any, parameters: Any, images: Array) -> Array:
     return show(view, parameters, images)
 
 
-def make_view(encoder: Encoder, mask: Any, region: Any) -> View:
+def make_view(encoder: Encoder, mask: Array, region: Array) -> View:
     """The view of what was found."""
-    keep = encoder.active & ~jnp.asarray(mask)
-    found = {"variables": encoder.variables, "keep": keep, "region": jnp.asarray(region)}
-    return View(encoder.network, found)
+    _, parameters = inpainted(Evidence(encoder, mask, region))
+    return View(encoder.network, parameters, len(region))
 
 
 def save_view(folder: Path, view: View) -> None:
@@ -92,7 +105,7 @@ def save_view(folder: Path, view: View) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = named_arrays(view.parameters)
     np.savez(folder / "arrays.npz", **arrays)
-    about = {"form": _FORM, "network": view.network, "size": len(view.region)}
+    about = {"form": _FORM, "network": view.network, "size": len(view.region), "local": view.local}
     write_json(folder / "view.json", about)
 
 
@@ -111,8 +124,12 @@ def load_view(directory: Path | str) -> View:
         if about.get("form") != _FORM:
             raise ValueError("one of another version, which draws otherwise: mask the data again")
         network, size = from_plain(vae.VAEConfig, about["network"]), about["size"]
-        fresh = jax.eval_shape(lambda key: vae.init(network, key, (size, size)), jax.random.key(0))
-        like = {"variables": fresh, "keep": 0, "region": 0}
-        return View(network, read_arrays(folder / "arrays.npz", like))
+        like = {"region": 0, "still": 0} if about["local"] else _whole(network, size)
+        return View(network, read_arrays(folder / "arrays.npz", like), size)
     except UNREADABLE as error:
         raise ValueError(f"{folder}: expected a view of jaxdeconf mask, got {error}") from error
+
+
+def _whole(network: vae.VAEConfig, size: int) -> Any:
+    fresh = jax.eval_shape(lambda key: vae.init(network, key, (size, size)), jax.random.key(0))
+    return {"variables": fresh, "keep": 0}

@@ -8,14 +8,20 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxdeconf as jd
 from jaxdeconf.commands import mask as command
 from jaxdeconf.commands import report
+from jaxdeconf.learn.disentangle import Encoder
+from jaxdeconf.nets import vae
+from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.owndata import dataset, judge, run
 from jaxdeconf.owndata.clones import Clone
+from jaxdeconf.owndata.view import make_view, save_view
 from jaxdeconf.report import owndata
 from tests.owndata.scene import CONFIG, scene
 
@@ -201,6 +207,24 @@ def test_the_step_for_lerobot_runs(masked, monkeypatch):
         assert np.allclose(shown.numpy(), np.stack([*map(floats, view(seen))]))
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_saved_view_draws_the_same(tmp_path, whole):
+    """Reference: the same view before it was saved; a whole frame is drawn by the β-VAE."""
+    network = VAEConfig(channels=(2,), latents=3, norm="none")
+    variables = vae.init(network, jax.random.key(1), (32, 32))
+    encoder = Encoder(network, variables, jnp.ones(3), jnp.ones(3, bool))
+    region = jnp.ones((32, 32), bool) if whole else jnp.arange(32)[:, None] < jnp.arange(32)
+    made = make_view(encoder, jnp.array([False, True, False]), region)
+    save_view(tmp_path / "view", made)
+    loaded = jd.load_view(tmp_path)
+    frames = np.random.default_rng(0).integers(0, 256, (3, 32, 48, 3), np.uint8)
+    seen = loaded(frames)
+    assert loaded.local is not whole
+    assert np.array_equal(seen, made(frames))
+    assert np.array_equal(seen[1], loaded(frames[1]))
+    assert ((seen == seen[0]) | (seen == frames)).all() != whole
+
+
 def test_a_damaged_view_is_named(masked, tmp_path):
     with pytest.raises(ValueError, match=r"expected a view of jaxdeconf mask, got"):
         jd.load_view(tmp_path)
@@ -211,7 +235,7 @@ def test_a_damaged_view_is_named(masked, tmp_path):
 
 
 def test_a_view_that_draws_otherwise_is_refused(masked, tmp_path):
-    """As a version before 0.6.1 left it."""
+    """As a version before 0.7.0 left it."""
     about = json.loads((masked / "out/view/view.json").read_text(encoding="utf-8"))
     del about["form"]
     (tmp_path / "view.json").write_text(json.dumps(about))
