@@ -1,7 +1,7 @@
 """One run from a config to its results: collect, disentangle, mask, clone, evaluate."""
 
-import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from jaxdeconf.pipeline import judge, machine
 from jaxdeconf.pipeline.checkpoint import fingerprint
 from jaxdeconf.pipeline.config import Config, fitting
 from jaxdeconf.pipeline.interruption import Interruption
-from jaxdeconf.pipeline.judge import Trial
+from jaxdeconf.pipeline.judge import JudgedLatents, Trial
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.progress import Reporter
 from jaxdeconf.pipeline.results import Judged, OutcomeForm, PValues, Results, finished, save
@@ -68,13 +68,14 @@ def run(
     this = Run(config, store, reporter or Reporter(), interruption or Interruption())
     collected = this.stage("collect", lambda: collect_for(config, system, this.key))
     trial = judge.trial(system, this.key, collected)
-    latents, policies = _trained(this, trial)
-    # After the last one is trained: what is resumed before then need not judge the first again.
-    begin = time.perf_counter()
-    judged, driven = _judge(this, trial, policies)
-    found = _results(this, trial, latents, judged)
-    pictures = judge.pictures(trial, latents.encoder, latents.region, policies, driven)
-    found.seconds["judge"] = time.perf_counter() - begin
+    latents, cloned = _learnt(this, trial)
+    with this.timed("judge"):
+        about = judge.judge_latents(trial, latents.encoder)
+        policies = {name: one.policy for name, one in cloned.items()}
+        driven = {name: one.driven for name, one in cloned.items()}
+        pictures = judge.pictures(trial, latents.encoder, latents.region, policies, driven)
+    judged = {name: one.judged for name, one in cloned.items()}
+    found = _results(this, trial, latents, about, judged)
     with writing(directory):
         save(directory, found, pictures)
     return found
@@ -88,11 +89,25 @@ class Latents(NamedTuple):
     region: Array | None  # [H, W] bool, the pixels that masked latents reach, if a method asks
 
 
-def _trained(this: Run, trial: Trial) -> tuple[Latents, dict[str, Policy]]:
-    """The latents and the policies, side by side: whichever needs no latents, beside the β-VAE."""
+class Cloned(NamedTuple):
+    """A policy, and what became of it."""
+
+    policy: Policy
+    judged: Judged
+    driven: Trajectories  # its last rollouts
+
+
+def _learnt(this: Run, trial: Trial) -> tuple[Latents, dict[str, Cloned]]:
+    """The latents, and the policies of a config's methods, each judged beside what is trained next.
+
+    Whichever needs no latents is cloned beside the β-VAE.
+    """
     config, demos = this.config, demonstrations_for(this.config, trial.system, trial.collected)
     at_once, stop = machine.trainings(demos.images.nbytes), this.interruption.stop
-    clone = partial(_clone, this, trial, demos)
+
+    def clone(name: str, known: Evidence) -> tuple[str, Policy, Future[Any]]:
+        policy = _clone(this, trial, demos, name, known)
+        return name, policy, pool.submit(_judge, this, trial, name, policy)
 
     def learn() -> Latents:
         encoder, mask = deconfounded(this, trial)
@@ -102,11 +117,13 @@ def _trained(this: Run, trial: Trial) -> tuple[Latents, dict[str, Policy]]:
     beside = [name for name in config.methods if name not in after]
     known = evidence_for(config, trial)
     jobs: list[Callable[[], Any]] = [learn, *(partial(clone, name, known) for name in beside)]
-    latents, *first = threads.together(jobs, at_once, stop)
-    known = evidence_for(config, trial, latents.encoder, latents.mask.mask, latents.region)
-    last = threads.together([partial(clone, name, known) for name in after], at_once, stop)
-    policies = dict(zip([*beside, *after], [*first, *last], strict=True))
-    return latents, {name: policies[name] for name in config.methods}
+    with ThreadPoolExecutor(threads.cores()) as pool:
+        latents, *first = threads.together(jobs, at_once, stop)
+        known = evidence_for(config, trial, latents.encoder, latents.mask.mask, latents.region)
+        last = threads.together([partial(clone, name, known) for name in after], at_once, stop)
+        of = {name: Cloned(policy, *judging.result()) for name, policy, judging in first + last}
+    this.interruption.check()
+    return latents, {name: of[name] for name in config.methods}
 
 
 def _clone(this: Run, trial: Trial, demos: Demos, name: str, evidence: Evidence) -> Policy:
@@ -125,24 +142,14 @@ def _clone(this: Run, trial: Trial, demos: Demos, name: str, evidence: Evidence)
     return clone_policy(name, demos, evidence, this.key, config.clone, watch)
 
 
-def _judge(
-    this: Run, trial: Trial, policies: Mapping[str, Policy]
-) -> tuple[dict[str, Judged], dict[str, Trajectories]]:
-    """The numbers and the last rollouts of all policies."""
-
-    def one(name: str) -> tuple[Judged, Trajectories]:
-        this.interruption.check()
-        history = this.history[f"clone {name}"]
-        curve = [[epoch, *losses] for epoch, _, *losses in history]
-        return judge.judge_policy(trial, policies[name], history[-1][1], curve)
-
-    judged, driven = {}, {}
-    # Side by side: at first it is mostly compiling, which takes little more than one core.
-    with this.reporter.bar("judge", len(policies)) as bar:
-        for name, (found, rolled) in zip(policies, threads.each(one, policies), strict=True):
-            judged[name], driven[name] = found, rolled
-            bar.update(len(judged), f"{name}: rollout loss {found.rollout_loss.mean:.3g}")
+def _judge(this: Run, trial: Trial, name: str, policy: Policy) -> tuple[Judged, Trajectories]:
+    """A policy's numbers, and its last rollouts."""
     this.interruption.check()
+    stage, history = f"judge {name}", this.history[f"clone {name}"]
+    curve = [[epoch, *losses] for epoch, _, *losses in history]
+    with this.reporter.bar(stage, 1) as bar, this.clock.running(stage):
+        judged, driven = judge.judge_policy(trial, policy, history[-1][1], curve)
+        bar.update(1, f"rollout loss {judged.rollout_loss.mean:.3g}")
     return judged, driven
 
 
@@ -189,9 +196,10 @@ def evidence_for(
     return Evidence(encoder, mask, region, cover, simulator.label, trial.held_out, simulator)
 
 
-def _results(this: Run, trial: Trial, learnt: Latents, judged: dict[str, Judged]) -> Results:
+def _results(
+    this: Run, trial: Trial, learnt: Latents, latents: JudgedLatents, judged: dict[str, Judged]
+) -> Results:
     config, system, (encoder, mask, region) = this.config, trial.system, learnt
-    latents = judge.judge_latents(trial, encoder)
     return Results(
         system=system.name,
         preset=config.preset,

@@ -61,9 +61,9 @@ def test_the_number_of_devices_changes_nothing(done, experiment, tmp_path):
     for stage in redone:
         shutil.rmtree(copy / "checkpoints" / stage)
     (copy / "results.json").unlink()
-    # It need not judge: of the policies that stay, it asks whether they are made from the same.
+    # It need not judge them: they are made from the same, or not.
     four = experiment(
-        *("SIGKILL", "judge", "0", "--resume", copy),
+        *("SIGKILL", "judge Masked", "0", "--resume", copy),
         start=("-m", "tests.pipeline.killed"),
         XLA_FLAGS="--xla_force_host_platform_device_count=4",
     )
@@ -202,7 +202,7 @@ def one_random_trajectory(key):
 
 def leaked(key):
     signal = np.linspace(-1, 1, 16)[:, None]
-    return leakage.r_squared(images(), signal, images(), signal, key)
+    return leakage.leaked(images(), signal, images(), signal, key)
 
 
 @pytest.mark.parametrize(

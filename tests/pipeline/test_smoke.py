@@ -22,11 +22,12 @@ def results(done):
 def test_it_says_what_it_found_and_beside_it_a_line_a_stage(done):
     _, run = done
     stages = [line.split(": ")[0] for line in run.stderr.splitlines()]
-    each = [f"clone {policy}" for policy in POLICIES]
+    each = [f"{what} {policy}" for policy in POLICIES for what in ("clone", "judge")]
     assert (stages[0], stages[-1]) == ("collect", "judge")
     assert sorted(stages[1:-1]) == sorted(["disentangle", "mask", *each])  # side by side
     assert stages.index("disentangle") < stages.index("mask") < stages.index("clone Masked")
     assert re.search(r"^clone Masked: \d+\.\d s, loss \d", run.stderr, re.MULTILINE)
+    assert re.search(r"^judge Masked: \d+\.\d s, rollout loss \d", run.stderr, re.MULTILINE)
     assert run.stdout.startswith("cartpole, preset smoke with ")
     assert "seed 0" in run.stdout.splitlines()[0]
     assert all(policy in run.stdout for policy in POLICIES)
@@ -53,8 +54,8 @@ def test_results_hold_what_is_promised(results):
         loss = policy["rollout_loss"]
         assert loss["error"] == pytest.approx(loss["std"] / np.sqrt(8 - 1), rel=1e-4)
         assert loss["median"] < loss["mean"] + 2 * loss["std"]
-    stages = {"collect", "disentangle", "mask", "judge", *(f"clone {p}" for p in POLICIES)}
-    assert set(results["seconds"]) == stages
+    each = {f"{what} {policy}" for policy in POLICIES for what in ("clone", "judge")}
+    assert set(results["seconds"]) == {"collect", "disentangle", "mask", "judge", *each}
     assert {"python", "jax", "jaxdeconf", "device"} <= set(results["versions"])
 
 
