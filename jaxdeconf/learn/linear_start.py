@@ -43,12 +43,13 @@ def principal_components(centred: Array, count: int, key: Array) -> tuple[Array,
     """
     samples, pixels = centred.shape
     # A wider subspace than asked for settles the last components (Halko et al. 2011).
-    basis = jax.random.normal(key, (pixels, min(2 * count + 8, samples, pixels)))
+    first = jax.random.normal(key, (pixels, min(2 * count + 8, samples, pixels)))
 
-    def improve(_: Array, basis: Array) -> Array:
-        return jnp.linalg.qr(centred.T @ (centred @ basis))[0]
+    def improve(_: Array, scores: Array) -> Array:  # of samples, which are fewer than pixels
+        return jnp.linalg.qr(centred @ (centred.T @ scores))[0]
 
-    basis = jax.lax.fori_loop(0, 6, improve, basis)
+    scores = jax.lax.fori_loop(0, 5, improve, jnp.linalg.qr(centred @ first)[0])
+    basis = jnp.linalg.qr(centred.T @ scores)[0]
     projected = centred @ basis
     variances, rotation = jnp.linalg.eigh(projected.T @ projected / samples)
     return (basis @ rotation)[:, ::-1][:, :count], variances[::-1][:count]
