@@ -69,7 +69,7 @@ def find_region(encoder: Encoder, mask: Array, images: Array, key: Array) -> Arr
         """R² of the masked latents, from what is seen of the frames."""
         seen, of = see(view, parameters, images), named(key, "region")
         signal = latents[:, mask]
-        return float(leakage.r_squared(seen[:half], signal[:half], seen[half:], signal[half:], of))
+        return float(leakage.leaked(seen[:half], signal[:half], seen[half:], signal[half:], of))
 
     drawn = {"variables": encoder.variables, "keep": encoder.active & ~mask}
     most = told(reconstructed(encoder.network), drawn) + _LEAK

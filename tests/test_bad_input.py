@@ -277,11 +277,11 @@ BAD = [
     ("policy", "function", lambda: evaluate.copycat(SYSTEM, loss, TRAJECTORIES, KEY)),
     ("system", "'cartpole'", lambda: evaluate.copycat("cartpole", POLICY, TRAJECTORIES, KEY)),
     ("key", "int32", lambda: evaluate.copycat(SYSTEM, POLICY, TRAJECTORIES, jnp.int32(3))),
-    ("train_signal", "(6,)", lambda: r_squared(train_signal=np.ones(6))),
-    ("test_signal", "nan at [0, 0]", lambda: r_squared(test_signal=np.full((6, 1), NAN))),
-    ("test", "shape (6, 32, 64, 3)", lambda: r_squared(test=IMAGES[:, :32])),
-    ("frames in train", "1", lambda: r_squared(train=IMAGES[:1])),
-    ("key", "1", lambda: r_squared(key=1)),
+    ("train_signal", "(6,)", lambda: leaked(train_signal=np.ones(6))),
+    ("test_signal", "nan at [0, 0]", lambda: leaked(test_signal=np.full((6, 1), NAN))),
+    ("test", "shape (6, 32, 64, 3)", lambda: leaked(test=IMAGES[:, :32])),
+    ("frames in train", "1", lambda: leaked(train=IMAGES[:1])),
+    ("key", "1", lambda: leaked(key=1)),
     # the whole run's config, and what it asks of a system
     ("random_trajectories", "0", lambda: CollectConfig(random_trajectories=0)),
     ("held_out_trajectories", "2.0", lambda: CollectConfig(held_out_trajectories=2.0)),
@@ -356,7 +356,7 @@ class Bare:
         return image
 
 
-def r_squared(**changed):
+def leaked(**changed):
     arguments = {
         "train": IMAGES,
         "train_signal": np.ones((6, 1)),
@@ -364,7 +364,7 @@ def r_squared(**changed):
         "test_signal": np.ones((6, 1)),
         "key": KEY,
     }
-    return leakage.r_squared(**{**arguments, **changed})
+    return leakage.leaked(**{**arguments, **changed})
 
 
 @pytest.mark.parametrize(

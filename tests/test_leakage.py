@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdeconf.leakage import explained, r_squared, spearman
+from jaxdeconf.leakage import explained, leaked, r_squared_each, spearman
 
 N = 500
 
@@ -20,7 +20,7 @@ def scene(key, size=12):
 
 
 def leak(images, signal):
-    return float(r_squared(images[:N], signal[:N], images[N:], signal[N:], jax.random.key(1)))
+    return float(leaked(images[:N], signal[:N], images[N:], signal[N:], jax.random.key(1)))
 
 
 def test_nothing_leaks_from_a_scene_without_the_signal():
@@ -38,6 +38,14 @@ def test_a_folded_mark_leaks_though_no_correlation_sees_it():
     angle = 0.8 * jnp.pi * signal[:, 0]
     marked = images.at[:, 0, 0].set(jnp.sin(angle)).at[:, 0, 1].set(jnp.cos(angle))
     assert abs(spearman(marked[:, 0, 1][:, None], signal)[0, 0]) < 0.1
+    assert leak(marked, signal) > 0.9
+
+
+def test_a_mark_that_shows_how_large_the_signal_is_leaks_its_square():
+    images, signal = scene(jax.random.key(0))
+    marked = images.at[:, 0, 0].set(jnp.abs(signal[:, 0]))
+    halves = marked[:N], signal[:N], marked[N:], signal[N:]
+    assert r_squared_each(*halves, jax.random.key(1))[0] < 0.03
     assert leak(marked, signal) > 0.9
 
 
@@ -63,7 +71,7 @@ def test_frames_and_signals_must_match():
     with pytest.raises(
         ValueError, match=r"test_signal: expected numbers of shape \[1000, A\].*\(500, 1\)"
     ):
-        r_squared(images, signal, images, signal[:N], jax.random.key(0))
+        leaked(images, signal, images, signal[:N], jax.random.key(0))
 
 
 def test_a_signal_explains_what_is_a_function_of_it_and_nothing_else():

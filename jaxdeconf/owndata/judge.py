@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxdeconf.demos import Demos
 from jaxdeconf.keys import named
-from jaxdeconf.leakage import explained, r_squared_each
+from jaxdeconf.leakage import explained, leaked, r_squared_each
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.mask import Mask, MaskConfig, find_mask, potential_causes
@@ -30,7 +30,10 @@ _DISTINCT = 1.0 - np.exp(-1.0)
 
 
 class Leakage(NamedTuple):
-    """R² of the previous action, regressed from frames in which nothing else goes with it."""
+    """R² of the previous action, or of its square, from frames in which nothing else goes with it.
+
+    See `leakage.leaked`.
+    """
 
     raw: float
     reconstructed: float  # by the β-VAE, with nothing masked
@@ -99,7 +102,7 @@ def leakage(seen: Past, written: View, whole: View, key: Array) -> Leakage:
     """What a regression finds of the previous action, before and after."""
 
     def of(images: np.ndarray) -> float:
-        return float(_regressed(images, seen.actions, named(key, "written")).mean())
+        return float(leaked(*_halves(images, seen.actions), named(key, "written")))  # type: ignore
 
     return Leakage(of(seen.images), of(whole(seen.images)), of(written(seen.images)))
 
@@ -115,6 +118,9 @@ def retention(
 
 def _regressed(images: np.ndarray, signal: np.ndarray, key: Array) -> np.ndarray:
     """[A] R² of signals [m, A] on the second half of images, regressed on the first."""
+    return np.asarray(r_squared_each(*_halves(images, signal), key))  # type: ignore
+
+
+def _halves(images: np.ndarray, signal: np.ndarray) -> tuple[np.ndarray, ...]:
     half = len(images) // 2
-    parts = images[:half], signal[:half], images[half:], signal[half:]
-    return np.asarray(r_squared_each(*parts, key))  # type: ignore
+    return images[:half], signal[:half], images[half:], signal[half:]

@@ -221,14 +221,14 @@ def _unpredicted(trial: Trial, driven: Trajectories) -> float:
 
 
 def leaked(trial: Trial, view: View, parameters: Any) -> Array:
-    """[] R² of what the nuisance shows, regressed from what a view shows of held-out frames.
+    """[] how much of what the nuisance shows can be told from what a view shows of held-out frames.
 
     There the signal is independent of everything in the frame but the nuisance: 0 is no leak.
     """
     images, _, signal = trial.held_out
     seen = see(view, parameters, images[: 2 * _JUDGE_FRAMES])
     half = len(seen) // 2
-    return leakage.r_squared(
+    return leakage.leaked(
         seen[:half],
         signal[:half],
         seen[half:],

@@ -42,7 +42,8 @@ class Judged(NamedTuple):
     rollout_loss: Losses
     outcome: float  # mean over rollouts, in the system's own terms
     copycat: float  # mean change of the action over its limit when only the nuisance is redrawn
-    leakage: float  # R² of what the nuisance shows, regressed from what the policy sees
+    # R² of what the nuisance shows, or of its square, regressed from what the policy sees.
+    leakage: float
     train_loss: float  # mean since the evaluation before the last
     # Error of telling an action from the one before, on its rollouts over that on the expert's:
     # below 1 is a copycat (Wen et al. 2020).

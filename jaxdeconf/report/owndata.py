@@ -171,8 +171,8 @@ def _comparison(found: Found) -> Iterator[str]:
     rows = [["previous action", raw, reconstructed, written]]
     rows += [[name, fixed(a, 3), "–", fixed(b, 3)] for name, (a, b) in found.retention.items()]
     note = (
-        "R² of a regression from frames that it has not seen: of the previous action, which is to "
-        "be gone, and of each initial state that moves an action, which is to be kept."
+        "R² of a regression from frames that it has not seen: of the previous action or its size, "
+        "which is to be gone, and of each initial state that moves an action, which is to be kept."
     )
     yield page.table(["", "recorded", "reconstructed", "written"], rows, note)
 

@@ -114,8 +114,9 @@ def _policies(results: Results) -> Iterator[str]:
     note = (
         "Rollout loss: mean stage cost a step, ± standard error over rollouts. "
         f"{results.outcome.note} Copycat: mean change of the action over its limit, 0 to 2, when "
-        "only the nuisance is redrawn. Leakage: share of the previous action's variance that a "
-        "regression finds in what the policy sees, on held-out frames."
+        "only the nuisance is redrawn. Leakage: share of the variance of what the nuisance "
+        "shows, or of its square, that a regression finds in what the policy sees, on held-out "
+        "frames."
     )
     yield page.table(head, rows, note)
     known = [name for name in words.ordered(results.policies) if name in METHODS]
