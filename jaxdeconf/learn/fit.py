@@ -41,7 +41,9 @@ class FitConfig:
     steps: int | None = None
     batch_size: int = 64  # samples a step
     learning_rate: Traced = 1e-3  # Adam's, at the start
-    decay: Traced = 0.96  # the learning rate's factor an epoch, or with `steps` over all of them
+    # The learning rate's factor an epoch, or with `steps` over all of them: to train for longer
+    # give more steps, since more epochs alone end in ever smaller ones.
+    decay: Traced = 0.96
     chunk: int = 64  # steps a jitted call; ours: seconds on a CPU, the bar's and a stop's grain
     weight_decay: Traced = 0.0  # decoupled from the gradient (Loshchilov & Hutter 2019); ours: none
     # What is good for anything is not the last weights but their running average, of which so much
