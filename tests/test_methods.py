@@ -1,5 +1,6 @@
 """Methods: what each one shows its policy, and what it needs for that."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from jaxdeconf.demos import Demos
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.method import Evidence
 from jaxdeconf.methods import METHODS
+from jaxdeconf.nets import vae
 from jaxdeconf.nets.vae import VAEConfig
 from jaxdeconf.vision import raster
 
@@ -21,7 +23,7 @@ DEMOS = Demos(np.zeros((5, 2, 16, 24, 3), np.uint8), np.zeros((5, 2, 1)), np.zer
 @pytest.fixture(scope="module")
 def evidence():
     return Evidence(
-        Encoder(CONFIG, {"params": jnp.zeros(2)}, jnp.ones(3), ACTIVE),
+        Encoder(CONFIG, vae.init(CONFIG, jax.random.key(0), (64, 64)), jnp.ones(3), ACTIVE),
         MASK,
         jnp.zeros((64, 64), bool),
         SYSTEM.nuisance.cover,
