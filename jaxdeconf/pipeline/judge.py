@@ -57,6 +57,15 @@ class Trial:
         return _unpredicted(self, self.collected.evaluation)
 
     @cached_property
+    def apart(self) -> Exploration:
+        """Held-out frames at even distances, for regressions: neighbours in a trajectory are alike.
+
+        Of those, leave-one-out is told what it should not be, and chooses a ridge that overfits.
+        """
+        stride = -(-len(self.held_out.images) // (2 * _JUDGE_FRAMES))
+        return jax.tree.map(lambda a: a[::stride], self.held_out)
+
+    @cached_property
     def shown(self) -> Trajectories:
         """Some steps of the expert's rollouts, at which policies are asked."""
         return evaluate.in_turns(self.collected.evaluation)
@@ -77,13 +86,15 @@ class JudgedLatents(NamedTuple):
 
 def judge_latents(trial: Trial, encoder: Encoder) -> JudgedLatents:
     """The β-VAE on held-out random-policy frames."""
-    images, _, signals = trial.held_out
-    mean, _ = disentangle.encode(encoder.network, encoder.variables, images)
-    some = slice(0, 2 * _JUDGE_FRAMES)
+    (images, _, signals), apart = trial.held_out, trial.apart
+
+    def encoded(images: Array) -> Array:
+        return disentangle.encode(encoder.network, encoder.variables, images)[0]
+
     key = named(trial.key, "nuisance share")
     return JudgedLatents(
-        jnp.abs(leakage.spearman(mean, signals)).max(axis=1),
-        leakage.explained(signals[some], mean[some], key),
+        jnp.abs(leakage.spearman(encoded(images), signals)).max(axis=1),
+        leakage.explained(apart.signals, encoded(apart.images), key),
         _reconstruction(trial, encoder, images[:_JUDGE_FRAMES]),
     )
 
@@ -225,9 +236,8 @@ def leaked(trial: Trial, view: View, parameters: Any) -> Array:
 
     There the signal is independent of everything in the frame but the nuisance: 0 is no leak.
     """
-    images, _, signal = trial.held_out
-    seen = see(view, parameters, images[: 2 * _JUDGE_FRAMES])
-    half = len(seen) // 2
+    images, _, signal = trial.apart
+    seen, half = see(view, parameters, images), len(images) // 2
     return leakage.leaked(
         seen[:half],
         signal[:half],

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxdeconf import systems, threads
-from jaxdeconf.collect import Collected
+from jaxdeconf.collect import Collected, Exploration
 from jaxdeconf.independence.hscic import hscic
 from jaxdeconf.learn.clone import Policy
 from jaxdeconf.learn.disentangle import Encoder
@@ -75,6 +75,22 @@ def test_what_is_left_of_the_past_is_hscic_at_the_same_steps(frames, monkeypatch
     want = float(hscic(before, before, acted))
     assert judge.past_leakage(trial, copy) == pytest.approx(want, rel=1e-2)
     assert want > 1e-3
+
+
+def test_leakage_is_regressed_from_frames_apart(monkeypatch):
+    """Each shows its place in one pixel: what is asked for is a regression of every fifth."""
+    monkeypatch.setattr(judge, "_JUDGE_FRAMES", 5)
+    places = jnp.arange(42)
+    images = jnp.zeros((42, 4, 4, 3), jnp.uint8).at[:, 0, 0, 0].set(places.astype(jnp.uint8))
+    held_out = Exploration(images, places[:, None] / 42, places[:, None] / 42)
+    trial = judge.Trial(systems.get("cartpole"), jax.random.key(0), None, held_out)  # type: ignore
+    asked = []
+    monkeypatch.setattr(judge.leakage, "leaked", lambda *halves: asked.append(halves) or 0.0)
+    judge.leaked(trial, identity, {})
+    train, signal, test, others, _ = asked[0]
+    seen = np.concatenate([train, test])[:, 0, 0, 0]
+    np.testing.assert_array_equal(seen, range(0, 42, 5))
+    np.testing.assert_allclose(np.concatenate([signal, others])[:, 0], seen / 42, rtol=1e-6)
 
 
 def test_peak_memory_is_the_processs_own():
