@@ -56,14 +56,13 @@ class Trial:
         """The error of telling the expert's actions each from the one before."""
         return _unpredicted(self, self.collected.evaluation)
 
-    @cached_property
-    def apart(self) -> Exploration:
+    @property
+    def apart(self) -> slice:
         """Held-out frames at even distances, for regressions: neighbours in a trajectory are alike.
 
         Of those, leave-one-out is told what it should not be, and chooses a ridge that overfits.
         """
-        stride = -(-len(self.held_out.images) // (2 * _JUDGE_FRAMES))
-        return jax.tree.map(lambda a: a[::stride], self.held_out)
+        return slice(None, None, -(-len(self.held_out.images) // (2 * _JUDGE_FRAMES)))
 
     @cached_property
     def shown(self) -> Trajectories:
@@ -86,15 +85,12 @@ class JudgedLatents(NamedTuple):
 
 def judge_latents(trial: Trial, encoder: Encoder) -> JudgedLatents:
     """The β-VAE on held-out random-policy frames."""
-    (images, _, signals), apart = trial.held_out, trial.apart
-
-    def encoded(images: Array) -> Array:
-        return disentangle.encode(encoder.network, encoder.variables, images)[0]
-
+    images, _, signals = trial.held_out
+    mean, _ = disentangle.encode(encoder.network, encoder.variables, images)
     key = named(trial.key, "nuisance share")
     return JudgedLatents(
-        jnp.abs(leakage.spearman(encoded(images), signals)).max(axis=1),
-        leakage.explained(apart.signals, encoded(apart.images), key),
+        jnp.abs(leakage.spearman(mean, signals)).max(axis=1),
+        leakage.explained(signals[trial.apart], mean[trial.apart], key),
         _reconstruction(trial, encoder, images[:_JUDGE_FRAMES]),
     )
 
@@ -236,7 +232,7 @@ def leaked(trial: Trial, view: View, parameters: Any) -> Array:
 
     There the signal is independent of everything in the frame but the nuisance: 0 is no leak.
     """
-    images, _, signal = trial.apart
+    images, signal = trial.held_out.images[trial.apart], trial.held_out.signals[trial.apart]
     seen, half = see(view, parameters, images), len(images) // 2
     return leakage.leaked(
         seen[:half],
