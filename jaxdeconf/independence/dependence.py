@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxdeconf.independence.hoeffding import HOEFFDING
 from jaxdeconf.independence.null import p_value
-from jaxdeconf.independence.ranks import rank_on_host
+from jaxdeconf.independence.ranks import both_ranked
 from jaxdeconf.independence.refined import REFINED
 from jaxdeconf.independence.table import both_columns, counted
 from jaxdeconf.independence.ties import of_ranks
@@ -44,7 +44,7 @@ def dependence(x: Any, y: Any) -> Dependence:
     values_x, values_y = (v.to_numpy(float) if any(v is t for t in tables) else v for v in (x, y))
     shape, dtype = np.shape(values_x)[1:] + np.shape(values_y)[1:], jnp.result_type(float)
     with jax.enable_x64(True):
-        xs, ys = (rank_on_host(np.asarray(v)) for v in both_columns(values_x, values_y))
+        xs, ys = both_ranked(*map(np.asarray, both_columns(values_x, values_y)))
         found = counted(xs, ys, HOEFFDING), of_ranks(xs, ys, REFINED)[0]
     d, r = (np.asarray(part, dtype).reshape(shape) for part in found)
     p = np.asarray(p_value(r, len(values_x)))

@@ -22,7 +22,6 @@ from jaxdeconf.independence.counts import (
     cumulative,
     histogram,
     over_rows,
-    scan_sum,
     take,
     tiled,
 )
@@ -52,8 +51,8 @@ def levels_of(ranks: Ranks) -> Levels:
     """The levels of variables that have few, ranked on the host."""
     first, last = np.asarray(ranks.first), np.asarray(ranks.last)
     starts = first == np.arange(first.shape[1], dtype=np.int32)
-    at_rank = np.cumsum(starts, axis=1, dtype=np.int32) - 1
-    level = np.take_along_axis(at_rank.astype(np.uint8), np.asarray(ranks.rank), axis=1)
+    at_rank = np.cumsum(starts, axis=1, dtype=np.uint8) - np.uint8(1)  # of 256, from 0 to 0 to 255
+    level = np.take_along_axis(at_rank, np.asarray(ranks.rank), axis=1)
     size = 16
     while size <= at_rank.max():  # few sizes, so that few programs are compiled
         size *= 4
@@ -115,16 +114,17 @@ def from_cells(x: Levels, y: Levels, statistic: Statistic) -> Array:
     """As `from_levels` where y has few levels, too: from the table of how often they meet."""
     (rows, n), cols = x.level.shape, y.level.shape[0]
     size_x, size_y = x.midrank.shape[1], y.midrank.shape[1]
-    chunk = min(rows * cols, max(1, CELLS // (size_x * size_y)))
+    chunk = min(rows * cols, max(4, CELLS // (size_x * size_y)))
     pair = jnp.arange(chunk, dtype=jnp.int32)[:, None]
+    width = size_y + 1  # odd: columns a power of two apart would share few places of the cache
 
     def values(row: Array, col: Array) -> Array:
         on_x = jnp.asarray(x.level)[row].astype(jnp.int32)
         on_y = jnp.asarray(y.level)[col].astype(jnp.int32)
-        met = jnp.zeros(size_x * size_y * chunk, jnp.int32)
-        met = met.at[(on_x * size_y + on_y) * chunk + pair].add(1, mode="promise_in_bounds")
-        lower = _twice_below(met.reshape(size_x, -1)).reshape(size_x, size_y, chunk)
-        lower = _twice_below(lower.swapaxes(0, 1).reshape(size_y, -1))
+        met = jnp.zeros(size_x * width * chunk, jnp.int32)
+        met = met.at[(on_x * width + on_y) * chunk + pair].add(1, mode="promise_in_bounds")
+        lower = _twice_below(met.reshape(size_x, width, chunk), 0)
+        lower = _twice_below(lower, 1)  # [width, size_x, chunk]
         both = take(lower, (on_y * size_x + on_x) * chunk + pair) / 4.0 - 0.25  # but for itself
         in_x = take(jnp.asarray(x.midrank)[row], pair * size_x + on_x)
         in_y = take(jnp.asarray(y.midrank)[col], pair * size_y + on_y)
@@ -134,9 +134,15 @@ def from_cells(x: Levels, y: Levels, statistic: Statistic) -> Array:
     return of_each_pair(values, (rows, cols), n, chunk)
 
 
-def _twice_below(rows: Array) -> Array:
-    """Twice the sums of the rows before, and the row itself once."""
-    return 2 * scan_sum(rows)[0] + rows
+def _twice_below(table: Array, axis: int) -> Array:
+    """Twice the sums of the cells before, and the cell itself once; the axis comes to the front."""
+
+    def add(before: Array, at: Array) -> tuple[Array, Array]:
+        cells = jax.lax.dynamic_index_in_dim(table, at, axis, keepdims=False)
+        return before + 2 * cells, before + cells
+
+    none = jnp.zeros_like(jax.lax.index_in_dim(table, 0, axis, keepdims=False))
+    return jax.lax.scan(add, none, jnp.arange(table.shape[axis]))[1]
 
 
 def count_lower(level: Array, size: int, grid: Grid) -> Array:

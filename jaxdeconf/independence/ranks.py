@@ -13,11 +13,12 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from jaxdeconf import checks
+from jaxdeconf import checks, threads
 
 MIN_SAMPLES = 5  # D_n and R_n are means over quintuples of distinct samples
 IN_CACHE = 2**15  # values that are ranked at once
 FEW = 2**12  # values for which one call of NumPy is faster than ten quicker ones
+MANY = 2**17  # values for which threads are worth their start
 
 
 class Ranks(NamedTuple):
@@ -54,31 +55,51 @@ def _count_nan(array: Array) -> int:
     return int(jnp.isnan(array).sum())
 
 
+def both_ranked(x: np.ndarray, y: np.ndarray) -> tuple[Ranks, Ranks]:
+    """`rank_on_host` of each of two tables, at once where both are large."""
+    run = map if min(x.size, y.size) < MANY else threads.each
+    of_x, of_y = run(rank_on_host, (x, y))
+    return of_x, of_y
+
+
 def rank_on_host(values: np.ndarray) -> Ranks:
     """Ranks of `values` [V, N] by NumPy, whose sort is several times faster than XLA's on CPU."""
     variables, n = values.shape
     order, rank = np.empty((2, variables, n), np.int32)
     step = max(1, IN_CACHE // n)
     index = np.arange(n, dtype=np.int32)
-    same = {}
-    for start in range(0, variables, step):
+
+    def sort(start: int) -> np.ndarray:
         rows = slice(start, start + step)
-        place, ordered = _sorted_places(np.ascontiguousarray(values[rows]))
+        place, ordered = _sorted_places(_together(values[rows]))
         rank[rows].reshape(-1)[place] = index
         order[rows] = place - n * np.arange(len(place))[:, None]
-        ties = ordered[:, 1:] == ordered[:, :-1]  # -0.0 == 0.0
-        if ties.any():
-            same[start] = ties
-    if not same:
+        return ordered[:, 1:] != ordered[:, :-1]  # -0.0 == 0.0
+
+    starts = range(0, variables, step)
+    run = map if values.size < MANY or len(starts) == 1 else threads.each
+    rises = list(run(sort, starts))
+    if all(rise.all() for rise in rises):
         return Ranks(order, rank, None, None)
-    first, last = np.tile(index, (2, variables, 1))
-    for start, ties in same.items():
-        rows, edge = slice(start, start + step), np.zeros((len(ties), 1), bool)
-        least = np.where(np.hstack([edge, ties]), 0, index)
-        first[rows] = np.maximum.accumulate(least, axis=1)
-        most = np.where(np.hstack([ties, edge]), index[-1], index)
-        last[rows] = np.minimum.accumulate(most[:, ::-1], axis=1)[:, ::-1]
+    first, last = np.empty((2, variables, n), np.int32)
+
+    def group(start: int, rise: np.ndarray) -> None:
+        rows, edge = slice(start, start + step), np.ones((len(rise), 1), bool)
+        at = np.flatnonzero(np.hstack([edge, rise]))
+        count = np.diff(at, append=len(rise) * n)
+        at = (at % n).astype(np.int32)
+        first[rows] = np.repeat(at, count).reshape(-1, n)
+        last[rows] = np.repeat((at + count - 1).astype(np.int32), count).reshape(-1, n)
+
+    list(run(lambda block: group(*block), zip(starts, rises, strict=True)))
     return Ranks(order, rank, first, last)
+
+
+def _together(rows: np.ndarray) -> np.ndarray:
+    """Rows of a table, each in one piece: also where they were columns, far apart in memory."""
+    if rows.flags.c_contiguous:
+        return rows
+    return np.ascontiguousarray(np.ascontiguousarray(rows.T).T)  # reads the table once
 
 
 def _sorted_places(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,8 +111,8 @@ def _sorted_places(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     rows, n = values.shape
     base = n * np.arange(rows)[:, None]
-    if values.size < FEW:
-        key = np.argsort(values, axis=1) + base
+    if values.size < FEW or values.itemsize <= 2:  # a stable sort of a byte or two counts
+        key = np.argsort(values, axis=1, kind=None if values.size < FEW else "stable") + base
         return key, values.reshape(-1)[key]
     width = (n - 1).bit_length()
     key = _host_key(values)
@@ -124,8 +145,6 @@ def _sorted_again(values: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 def _host_key(values: np.ndarray) -> np.ndarray:
     """Signed integers in the order of `values`, in a new array."""
-    if values.itemsize < 4:
-        return values.astype(np.int32)
     if values.dtype.kind == "u":
         return (values ^ values.dtype.type(1 << 8 * values.itemsize - 1)).view(
             f"i{values.itemsize}"

@@ -3,6 +3,7 @@
 Shapes: N samples, S columns of x, P columns of y, V of either.
 """
 
+from collections.abc import Callable
 from functools import partial
 from itertools import product
 
@@ -13,22 +14,19 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from jaxdeconf.independence.levels import (
-    CELLS,
-    few_levels,
-    from_cells,
-    from_levels,
-    levels_of,
-)
+from jaxdeconf import threads
+from jaxdeconf.independence.levels import few_levels, from_cells, from_levels, levels_of
 from jaxdeconf.independence.pairs import SMALL, compares, from_ranks, from_values
 from jaxdeconf.independence.ranks import (
     Ranks,
+    both_ranked,
     columns,
     largest_group,
     rank_on_device,
-    rank_on_host,
 )
 from jaxdeconf.independence.statistic import Statistic
+
+PART = 2**19  # samples, of all pairs, for which a thread is worth its start
 
 
 def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
@@ -40,7 +38,7 @@ def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
         if is_traced(xs, ys) or compares(platform, xs.shape[1]):
             found = from_values(jnp.asarray(xs), jnp.asarray(ys), statistic, platform)
         elif platform == "cpu":
-            found = counted(rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys)), statistic)
+            found = counted(*both_ranked(np.asarray(xs), np.asarray(ys)), statistic)
         else:
             found = _general(_ranked(xs), _ranked(ys), statistic)
         return formed(found, dtype, shape)
@@ -76,13 +74,34 @@ def counted(x: Ranks, y: Ranks, statistic: Statistic) -> Array | np.ndarray:
     few_x, few_y = few_levels(x), few_levels(y)
     levelled = few_x.any() or few_y.any()
     if statistic.weighted or not levelled or compares(jax.default_backend(), x.rank.shape[1]):
-        return _general(x, y, statistic)
+        return in_parts(partial(_general, statistic=statistic), x, y)
     result = np.empty((len(few_x), len(few_y)))
     for few_in_x, few_in_y in product((True, False), repeat=2):
         rows, cols = few_x == few_in_x, few_y == few_in_y
         if rows.any() and cols.any():
-            some = _counted(chosen(x, rows), chosen(y, cols), few_in_x, few_in_y, statistic)
-            result[np.ix_(rows, cols)] = some
+            count = partial(_counted, few_x=few_in_x, few_y=few_in_y, statistic=statistic)
+            result[np.ix_(rows, cols)] = in_parts(count, chosen(x, rows), chosen(y, cols))
+    return result
+
+
+def in_parts(count: Callable[[Ranks, Ranks], Array], x: Ranks, y: Ranks) -> Array | np.ndarray:
+    """[S, P] `count` of x and parts of y, or of parts of x and y, in a thread for each core."""
+    rows, (cols, n) = len(x.rank), y.rank.shape
+    parts = min(threads.cores(), max(rows, cols), rows * cols * n // PART)
+    if parts < 2 or jax.default_backend() != "cpu":
+        return count(x, y)
+    if rows > cols:
+        return in_parts(lambda y, x: count(x, y).T, y, x).T
+    size = -(-cols // parts)
+    starts = [min(start, cols - size) for start in range(0, cols, size)]  # one size, one program
+    result = np.empty((rows, cols))
+
+    def part(start: int) -> None:
+        at = slice(start, start + size)
+        with jax.enable_x64(True):  # which a thread does not inherit
+            result[:, at] = count(x, chosen(y, at))
+
+    list(threads.each(part, starts))
     return result
 
 
@@ -92,12 +111,9 @@ def _counted(x: Ranks, y: Ranks, few_x: bool, few_y: bool, statistic: Statistic)
         return _general(x, y, statistic)
     if not few_x:  # D does not change where x and y change places
         return from_levels(levels_of(y), x, statistic).T
-    levels_x = levels_of(x)
     if few_y:
-        levels_y = levels_of(y)
-        if levels_x.midrank.shape[1] * levels_y.midrank.shape[1] <= CELLS:
-            return from_cells(levels_x, levels_y, statistic)
-    return from_levels(levels_x, y, statistic)
+        return from_cells(levels_of(x), levels_of(y), statistic)
+    return from_levels(levels_of(x), y, statistic)
 
 
 def _general(x: Ranks, y: Ranks, statistic: Statistic) -> Array:
@@ -108,8 +124,10 @@ def _general(x: Ranks, y: Ranks, statistic: Statistic) -> Array:
     return from_ranks(x, y, statistic, platform, small)
 
 
-def chosen(ranks: Ranks, which: np.ndarray) -> Ranks:
-    """The variables [V] bool `which`."""
+def chosen(ranks: Ranks, which: np.ndarray | slice) -> Ranks:
+    """The variables `which`, [V] bool or a slice."""
+    if isinstance(which, np.ndarray) and which.all():
+        which = slice(None)  # copies nothing
     order, rank = ranks.order[which], ranks.rank[which]
     if ranks.first is None or ranks.last is None:
         return Ranks(order, rank, None, None)
