@@ -21,8 +21,9 @@ Sources: Blum, Kiefer & Rosenblatt, Ann. Math. Stat. 32 (1961); Székely, Rizzo 
 the contour. Shapes: V columns, S of x, P of y, N samples.
 """
 
+from collections.abc import Callable
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -33,9 +34,19 @@ from jax.typing import ArrayLike
 
 from jaxdeconf.independence.eigen import eigenvalues
 from jaxdeconf.independence.null import quantile
-from jaxdeconf.independence.ranks import Ranks, rank_on_device, rank_on_host
+from jaxdeconf.independence.ranks import Ranks, both_ranked, rank_on_device
 from jaxdeconf.independence.statistic import Statistic
-from jaxdeconf.independence.table import all_pairs, both_columns, chosen, counted, formed, is_traced
+from jaxdeconf.independence.table import (
+    all_pairs,
+    both_columns,
+    chosen,
+    counted,
+    formed,
+    in_parts,
+    is_traced,
+)
+
+X = TypeVar("X")
 
 # A column counts as tied where the chance that two samples share their value is above that of 333
 # equally frequent values: one of bytes is. Below, ties move D by less than a tenth of its standard
@@ -45,6 +56,7 @@ FEW = 10.0  # expected coincidences of two rare events below which no normal law
 FEWEST = 5  # events of a column, to tell anything from
 HARMONICS = 16
 EIGENVALUES, WEIGHTS = 8, 24  # the largest, of a column and of a pair; the rest count by their mean
+AT_ONCE = 2**20  # samples of columns whose features are made at once; on a CPU they are one's
 NODES = 32  # of the contour: the survival is then good to 1e-3, and to 1e-6 below 0.1
 
 
@@ -67,7 +79,7 @@ def with_ties(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> tuple[Array, 
             r, tied = (part.reshape(shape) for part in _scaled(*ranks))
             return jnp.where(tied & ~jnp.isnan(d), r.astype(dtype), d), tied
     with jax.enable_x64(True):
-        ranks = rank_on_host(np.asarray(xs)), rank_on_host(np.asarray(ys))
+        ranks = both_ranked(np.asarray(xs), np.asarray(ys))
         d, tied = of_ranks(*ranks, statistic)
         return formed(d, dtype, shape), jnp.asarray(tied.reshape(shape))
 
@@ -78,7 +90,7 @@ def of_ranks(x: Ranks, y: Ranks, statistic: Statistic) -> tuple[Array | np.ndarr
     tied = tied_x[:, None] | tied_y
     if not tied.any():
         return counted(x, y, statistic), tied
-    values = np.array(_scaled(_with_ends(x), _with_ends(y))[0])
+    values = np.array(in_parts(lambda x, y: _scaled(_with_ends(x), _with_ends(y))[0], x, y))
     if not tied.all():
         untied = counted(chosen(x, ~tied_x), chosen(y, ~tied_y), statistic)
         values[np.ix_(~tied_x, ~tied_y)] = untied
@@ -123,61 +135,75 @@ def few_events(values: ArrayLike) -> dict[int, int]:
     return {column: count for column, count in events.items() if 0 < count < FEWEST}
 
 
-class _Columns(NamedTuple):
-    """What the ties of each column make of its law."""
+class _Column(NamedTuple):
+    """What the ties of a column make of its law; [V, ...] of V columns."""
 
-    features: Array  # [V, HARMONICS, N] with mean 0
-    eigenvalues: Array  # [V, EIGENVALUES] the largest of their covariance
-    trace: Array  # [V] the sum of all of them
-    rare: Array  # [V, N] 1 where the sample has not the most frequent value, else 0
-    tied: Array  # [V] bool
+    features: Array  # [HARMONICS, N] with mean 0
+    eigenvalues: Array  # [EIGENVALUES] the largest of their covariance
+    trace: Array  # [] the sum of all of them
+    rare: Array  # [N] 1 where the sample has not the most frequent value, else 0
+    tied: Array  # [] bool
 
 
-def _columns(ranks: Ranks) -> _Columns:
-    n = ranks.rank.shape[1]
-    rank, first, last = map(jnp.asarray, (ranks.rank, ranks.first, ranks.last))
-    sharing = _sharing(ranks, jnp)
-    tied = _are_tied(sharing)
-    first, last, sharing = (jnp.take_along_axis(v, rank, axis=1) for v in (first, last, sharing))
-    cosine = jnp.cos(jnp.pi * (first + last + 1) / (2.0 * n))
-    cosines = [jnp.ones_like(cosine), cosine]
-    for _ in range(HARMONICS - 1):
-        cosines.append(2 * cosine * cosines[-1] - cosines[-2])
+def _column(rank: Array, first: Array, last: Array) -> _Column:
+    """Of one column's ranks, [N] each."""
+    n = rank.shape[0]
+    sharing = last - first
+    midrank, most = (first + last)[rank], first[jax.lax.argmax(sharing, 0, jnp.int32)]
+    cosine = jnp.cos(jnp.pi * (midrank + 1) / (2.0 * n))
+
+    def double(two: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        before, now = two
+        return (now, 2 * cosine * now - before), now
+
+    cosines = jax.lax.scan(double, (jnp.ones_like(cosine), cosine), length=HARMONICS)[1]
     harmonic = jnp.arange(1, HARMONICS + 1)[:, None]
-    features = jnp.sqrt(2.0) / (jnp.pi * harmonic) * jnp.stack(cosines[1:], axis=1)
+    features = jnp.sqrt(2.0) / (jnp.pi * harmonic) * cosines
     features = features - features.mean(axis=-1, keepdims=True)
-    largest = eigenvalues(features @ features.swapaxes(1, 2) / n)[:, -EIGENVALUES:]
-    most = jnp.take_along_axis(first, jax.lax.argmax(sharing, 1, jnp.int32)[:, None], axis=1)
-    return _Columns(
+    covariance = features @ features.T / n
+    largest = eigenvalues(covariance)[-EIGENVALUES:]
+    return _Column(
         features=features,
         eigenvalues=jnp.where(largest > 1e-15, largest, 0.0),  # the others are rounding
-        trace=(features**2).mean(axis=-1).sum(axis=-1),
-        rare=(first != most).astype(float),
-        tied=tied,
+        trace=jnp.trace(covariance),
+        rare=(first[rank] != most).astype(float),
+        tied=_are_tied(sharing[None])[0],
     )
 
 
 @jax.jit
-def _scaled(ranks_x: Ranks, ranks_y: Ranks) -> tuple[Array, Array]:
+def _scaled(x: Ranks, y: Ranks) -> tuple[Array, Array]:
     """[S, P] R on its scale, and whether a column of the pair is tied."""
-    rows, n = ranks_x.rank.shape
-    both = _columns(jax.tree.map(lambda *parts: jnp.concatenate(parts), ranks_x, ranks_y))
-    x, y = (_Columns(*(part[at] for part in both)) for at in np.s_[:rows, rows:])
-    flat = x.features.reshape(-1, n) @ y.features.reshape(-1, n).T / n
-    r = (flat.reshape(len(x.tied), HARMONICS, len(y.tied), HARMONICS) ** 2).sum(axis=(1, 3))
+    n = x.rank.shape[1]
+    of_x = _each_column(_column, x)
+    flat = of_x.features.reshape(-1, n)
 
-    def row(r: Array, eigenvalues: Array, trace: Array) -> Array:
-        weights = (eigenvalues[:, None] * y.eigenvalues[:, None, :]).reshape(len(r), -1)
+    def against(*of: Array) -> tuple[Array, Array, _Column]:
+        one = _column(*of)
+        r = ((flat @ one.features.T / n).reshape(-1, HARMONICS**2) ** 2).sum(axis=1)
+        return r, of_x.rare @ one.rare, one._replace(features=r, rare=one.rare.sum())
+
+    r, both, of_y = _each_column(against, y)
+
+    def log_p(r: Array, eigenvalues: Array, trace: Array) -> Array:
+        weights = (of_x.eigenvalues[:, :, None] * eigenvalues).reshape(len(r), -1)
         weights = jax.lax.top_k(weights, WEIGHTS)[0]
-        rest = trace * y.trace - weights.sum(axis=1)  # of the small ones: as good as constant
+        rest = of_x.trace * trace - weights.sum(axis=1)  # of the small ones: as good as constant
         return jax.vmap(log_survival)((n - 1) * r - rest, weights)
 
-    log_p = jax.lax.map(lambda of: row(*of), (r, x.eigenvalues, x.trace))
-    events_x, events_y = x.rare.sum(axis=1)[:, None], y.rare.sum(axis=1)[None, :]
+    found = jax.lax.map(lambda of: log_p(*of), (r, of_y.eigenvalues, of_y.trace)).T
+    events_x, events_y = of_x.rare.sum(axis=1)[:, None], of_y.rare
     few = (events_x * events_y < FEW * n) & (jnp.maximum(events_x, events_y) <= n / 2)
-    exact = _log_coincidences(x.rare @ y.rare.T, events_x, events_y, n)
-    log_p = jnp.where(few, jnp.maximum(log_p, exact), log_p)
-    return quantile(log_p) / (1.2 * (n - 1)), x.tied[:, None] | y.tied[None, :]
+    exact = _log_coincidences(both.T, events_x, events_y, n)
+    found = jnp.where(few, jnp.maximum(found, exact), found)
+    return quantile(found) / (1.2 * (n - 1)), of_x.tied[:, None] | of_y.tied
+
+
+def _each_column(function: Callable[..., X], ranks: Ranks) -> X:
+    """[V, ...] of `function` of each column's ranks, some at a time: its features are large."""
+    parts = (ranks.rank, ranks.first, ranks.last)
+    at_once = 1 if jax.default_backend() == "cpu" else max(1, AT_ONCE // ranks.rank.shape[1])
+    return jax.lax.map(lambda of: function(*of), parts, batch_size=at_once)
 
 
 def log_survival(q: Array, weights: Array) -> Array:
@@ -205,11 +231,24 @@ def log_survival(q: Array, weights: Array) -> Array:
     slope = (2 * bend * theta + 1j / jnp.sqrt(curvature)) * jnp.sqrt(1 + theta**2)
 
     def exponent(t: Array) -> Array:
-        return -jnp.log(1 - 2 * w * t[..., None]).sum(axis=-1) / 2 - t * q
+        return -_log_product(1 - 2 * w * t[..., None]) / 2 - t * q
 
-    at_saddle = exponent(saddle)
+    at_saddle = -jnp.log(1 - 2 * w * saddle).sum() / 2 - saddle * q
     integral = jnp.sum((jnp.exp(exponent(t) - at_saddle) / t * slope).imag) * step / jnp.pi
     return jnp.where(some, jnp.minimum(at_saddle + jnp.log(integral), 0.0), 0.0)
+
+
+def _log_product(factors: Array) -> Array:
+    """The sum over the last axis of the logs of factors below the real axis, by one log.
+
+    Each turns the product clockwise, by less than half a turn: where it comes from below the axis
+    to above, it has passed the cut, and its log falls short of the sum by a turn.
+    """
+    product, turns = factors[..., 0], 0
+    for k in range(1, factors.shape[-1]):
+        before, product = product, product * factors[..., k]
+        turns = turns + ((before.imag < 0) & (product.imag >= 0))
+    return jnp.log(product) - 2j * jnp.pi * turns
 
 
 def _log_coincidences(both: Array, in_x: Array, in_y: Array, n: int) -> Array:
