@@ -2,8 +2,9 @@
 
 For each batch of pairs: compile time, median run from host arrays (ranking included, and its share
 of the time), time a pair, peak memory, the worst error against an independent count in extended
-precision; the time a pair of a plain loop of single calls; and the same for the peers that are
-installed: wdm (pyvinecopulib) and hyppo, in Python, and Hmisc and independence, through Rscript.
+precision; the time a pair of a plain loop of single calls, and of R, by which tied columns are
+tested; and the same for the peers that are installed: wdm (pyvinecopulib) and hyppo, in Python, and
+Hmisc and independence, through Rscript.
 Peers are timed on a few pairs of the batch, start-up apart. Needs numpy and jax alone, matplotlib
 for the plot.
 """
@@ -25,8 +26,8 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from jaxdeconf.independence import hoeffding_d
-from jaxdeconf.independence.ranks import rank_on_host
+from jaxdeconf.independence import hoeffding_d, refined_d
+from jaxdeconf.independence.ranks import both_ranked
 
 # Rows, columns, samples, and what the columns of x and of y are; see KINDS.
 CASES = [(1, 1, 10**k, "real", "real") for k in range(3, 8)]
@@ -39,8 +40,10 @@ CASES += [
     (3, cols, 4096, "real", y) for cols in (2048, 12_288) for y in ("real", "bytes", "pixels")
 ]
 CASES += [(3, 2048, 4096, "bytes", "bytes"), (3, 2048, 4096, "real", "saturated")]
+CASES += [(64, 256, 4096, "real", "chance")]
 KINDS = {  # of the ranks of a column [N], whose length is N
     "real": lambda rank, n: rank.astype(np.float64),
+    "chance": lambda rank, n: np.where(rank % 1000 == 1, rank - 1, rank).astype(np.float32),
     "nine": lambda rank, n: (9.0 * rank) // n,
     "bytes": lambda rank, n: (256 * rank // n).astype(np.uint8),
     "pixels": lambda rank, n: (256 * np.maximum(rank - 0.9 * n, 0) // (0.1 * n)).astype(np.uint8),
@@ -149,11 +152,12 @@ def measure(rows: int, cols: int, n: int, kinds: tuple[str, str], repeats: int) 
     first = seconds(lambda: hoeffding_d(x, y))
     repeats = repeats if rows * cols * n < 10**7 else 3
     run = float(np.median([seconds(lambda: hoeffding_d(x, y)) for _ in range(repeats)]))
-    ranking = np.median([seconds(lambda: [rank_on_host(v.T) for v in host]) for _ in range(3)])
+    ranking = np.median([seconds(lambda: both_ranked(*(v.T for v in host))) for _ in range(3)])
     if on_device:
         peak = (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**20
     else:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before
+    refined = [seconds(lambda: refined_d(x, y)) for _ in range(4 if n <= QUADRATIC else 0)][1:]
     found = np.asarray(hoeffding_d(x, y))
     picked = [(i % rows, (7 * i) % cols) for i in range(min(CHECKED, rows * cols))]
     chosen = [(host[0][:, s] * 1.0, host[1][:, p] * 1.0) for s, p in picked]
@@ -175,6 +179,7 @@ def measure(rows: int, cols: int, n: int, kinds: tuple[str, str], repeats: int) 
         "peak_mb_over_inputs": peak,
         "max_error": error,
         "loop_us_per_pair": 1e6 * float(loop),
+        "refined_us_per_pair": 1e6 * float(np.median(refined)) / (rows * cols) if refined else None,
         "peers": peers(chosen, exact, n),
     }
 
@@ -240,7 +245,8 @@ def show(result: dict) -> None:
         f"median {r['median_ms']:9.2f} ms   {r['us_per_pair']:10.1f} us/pair   "
         f"ranking {100 * r['ranking']:3.0f} %   {r['pairs_per_s']:9.1f} pairs/s   "
         f"peak +{r['peak_mb_over_inputs']:.0f} MB   "
-        f"error {r['max_error']:.0e}   loop {r['loop_us_per_pair']:.1f} us/pair",
+        f"error {r['max_error']:.0e}   loop {r['loop_us_per_pair']:.1f} us/pair"
+        + (f"   R {r['refined_us_per_pair']:.1f} us/pair" if r["refined_us_per_pair"] else ""),
         flush=True,
     )
     for name, peer in r["peers"].items():
