@@ -14,7 +14,7 @@ of W lanes; position q of a pair's sequence is kept at [tile, q % K, lane] of it
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -104,8 +104,8 @@ def count_below(
     """
     base, unroll = grid.base, grid.unroll
     of_digits = partial(histogram, size=base, unroll=unroll)
-    count_less = partial(_count_earlier, compare=jnp.less, unroll=unroll)
-    count_equal = partial(_count_earlier, compare=jnp.equal, unroll=unroll)
+    count_less = partial(count_earlier, compare=jnp.less, unroll=unroll)
+    count_equal = partial(count_earlier, compare=jnp.equal, unroll=unroll)
     weigh_digits = partial(_weigh_digits, unroll=unroll)
     weigh_less = partial(_weigh_less, unroll=unroll)
     pair, block = grid.block_numbers()
@@ -116,13 +116,13 @@ def count_below(
         run = block // run_blocks
         place = grid.place(pair, run * run_blocks * base + p)
         if run_blocks < grid.blocks:
-            digits = _scatter(place, jnp.broadcast_to(digit, place.shape).astype(jnp.uint8))
+            digits = scatter(place, jnp.broadcast_to(digit, place.shape).astype(jnp.uint8))
         equal, less = cumulative(tiled(of_digits, digits), grid, run_blocks)
         cell = (digit * run_blocks + p // base) * less.shape[-1]
         cell = cell + pair * (grid.blocks // run_blocks) + run
         count = count + take(less, cell) + take(tiled(count_less, digits), place)
         if weights is not None:
-            stream = _scatter(place, weights)
+            stream = scatter(place, weights)
             heavier = cumulative(tiled(weigh_digits, (digits, stream)), grid, run_blocks)[1]
             weight = weight + take(heavier, cell)
             weight = weight + take(tiled(weigh_less, (digits, stream)), place)
@@ -153,13 +153,14 @@ def take(values: Array, index: Array) -> Array:
     return values.reshape(-1).at[index].get(mode="promise_in_bounds")
 
 
-def _scatter(place: Array, values: Array) -> Array:
+def scatter(place: Array, values: Array) -> Array:
+    """The values [T, K, W], each put at a place of its own in the flattened [T, K, W]."""
     stream = jnp.zeros(place.size, values.dtype).at[place.reshape(-1)]
     stream = stream.set(values.reshape(-1), unique_indices=True, mode="promise_in_bounds")
     return stream.reshape(place.shape)
 
 
-def tiled(function: Callable, blocks: Array | tuple[Array, Array]) -> Array:
+def tiled(function: Callable, blocks: Array | tuple[Array, ...]) -> Any:
     """`function` of one tile after the other."""
     return jax.lax.map(function, blocks)
 
@@ -179,7 +180,7 @@ def over_rows(term: Callable[..., Array], *rows: Array, unroll: bool) -> Array:
     return total
 
 
-def _count_earlier(block: Array, compare: Callable[[Array, Array], Array], unroll: bool) -> Array:
+def count_earlier(block: Array, compare: Callable[[Array, Array], Array], unroll: bool) -> Array:
     """[K, W] uint8: earlier rows that compare to the row."""
     row = _numbers(block)
     return over_rows(

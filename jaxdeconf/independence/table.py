@@ -15,6 +15,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxdeconf import threads
+from jaxdeconf.independence.groups import from_groups, groups_of
 from jaxdeconf.independence.levels import few_levels, from_cells, from_levels, levels_of
 from jaxdeconf.independence.pairs import SMALL, compares, from_ranks, from_values
 from jaxdeconf.independence.ranks import (
@@ -71,17 +72,28 @@ def is_traced(*arrays: Array | np.ndarray) -> bool:
 
 def counted(x: Ranks, y: Ranks, statistic: Statistic) -> Array | np.ndarray:
     """[S, P] float64, as `all_pairs`, of variables ranked on the host; under 64-bit types."""
-    few_x, few_y = few_levels(x), few_levels(y)
-    levelled = few_x.any() or few_y.any()
-    if statistic.weighted or not levelled or compares(jax.default_backend(), x.rank.shape[1]):
+    of_x, of_y = _ties(x), _ties(y)
+    general = min(of_x.min(), of_y.min()) == _HARDLY
+    if statistic.weighted or general or compares(jax.default_backend(), x.rank.shape[1]):
         return in_parts(partial(_general, statistic=statistic), x, y)
-    result = np.empty((len(few_x), len(few_y)))
-    for few_in_x, few_in_y in product((True, False), repeat=2):
-        rows, cols = few_x == few_in_x, few_y == few_in_y
-        if rows.any() and cols.any():
-            count = partial(_counted, few_x=few_in_x, few_y=few_in_y, statistic=statistic)
-            result[np.ix_(rows, cols)] = in_parts(count, chosen(x, rows), chosen(y, cols))
+    result = np.empty((len(of_x), len(of_y)))
+    for in_x, in_y in product(np.unique(of_x), np.unique(of_y)):
+        rows, cols = of_x == in_x, of_y == in_y
+        count = partial(_counted, ties=(in_x, in_y), statistic=statistic)
+        result[np.ix_(rows, cols)] = in_parts(count, chosen(x, rows), chosen(y, cols))
     return result
+
+
+# How a variable is tied: in few levels; in a group larger than `SMALL`; by chance, or not.
+_LEVELS, _GROUPS, _HARDLY = range(3)
+
+
+def _ties(ranks: Ranks) -> np.ndarray:
+    """[V] which of these each variable, ranked on the host, is."""
+    if ranks.first is None or ranks.last is None:
+        return np.full(len(ranks.rank), _HARDLY)
+    grouped = (np.asarray(ranks.last) - ranks.first >= SMALL).any(axis=1)
+    return np.where(few_levels(ranks), _LEVELS, np.where(grouped, _GROUPS, _HARDLY))
 
 
 def in_parts(count: Callable[[Ranks, Ranks], Array], x: Ranks, y: Ranks) -> Array | np.ndarray:
@@ -105,15 +117,18 @@ def in_parts(count: Callable[[Ranks, Ranks], Array], x: Ranks, y: Ranks) -> Arra
     return result
 
 
-def _counted(x: Ranks, y: Ranks, few_x: bool, few_y: bool, statistic: Statistic) -> Array:
-    """The same, where all variables of x, and of y, have few levels or none has."""
-    if not (few_x or few_y):
-        return _general(x, y, statistic)
-    if not few_x:  # D does not change where x and y change places
-        return from_levels(levels_of(y), x, statistic).T
-    if few_y:
+def _counted(x: Ranks, y: Ranks, ties: tuple[int, int], statistic: Statistic) -> Array:
+    """The same, where all variables of x, and of y, are tied in the same way."""
+    if ties[0] > ties[1]:  # D does not change where x and y change places
+        return _counted(y, x, (ties[1], ties[0]), statistic).T
+    if ties == (_LEVELS, _LEVELS):
         return from_cells(levels_of(x), levels_of(y), statistic)
-    return from_levels(levels_of(x), y, statistic)
+    if ties[0] == _LEVELS:
+        return from_levels(levels_of(x), y, statistic)
+    groups = groups_of(x) if ties == (_GROUPS, _HARDLY) and y.first is None else None
+    if groups is None:
+        return _general(x, y, statistic)
+    return from_groups(y, groups, statistic, jax.default_backend()).T
 
 
 def _general(x: Ranks, y: Ranks, statistic: Statistic) -> Array:
