@@ -99,12 +99,12 @@ def _ties(ranks: Ranks) -> np.ndarray:
 def in_parts(count: Callable[[Ranks, Ranks], Array], x: Ranks, y: Ranks) -> Array | np.ndarray:
     """[S, P] `count` of x and parts of y, or of parts of x and y, in a thread for each core."""
     rows, (cols, n) = len(x.rank), y.rank.shape
-    parts = min(threads.cores(), max(rows, cols), rows * cols * n // PART)
+    parts = min(max(rows, cols), rows * cols * n // PART)
     if parts < 2 or jax.default_backend() != "cpu":
         return count(x, y)
     if rows > cols:
         return in_parts(lambda y, x: count(x, y).T, y, x).T
-    size = -(-cols // parts)
+    size = -(-cols // min(threads.cores(), parts))
     starts = [min(start, cols - size) for start in range(0, cols, size)]  # one size, one program
     result = np.empty((rows, cols))
 
