@@ -269,12 +269,12 @@ def plot(results: list[dict], device: str, path: Path) -> None:
     one = [r for r in results if r["rows"] * r["cols"] == 1]
     many = [r for r in results if r["rows"] * r["cols"] > 1 and set(r["kinds"]) == {"real"}]
     axes.loglog([r["n"] for r in one], [r["us_per_pair"] for r in one], "k-o", label="one pair")
-    axes.loglog([r["n"] for r in many], [r["us_per_pair"] for r in many], "k--s", label="batches")
+    axes.loglog([r["n"] for r in many], [r["us_per_pair"] for r in many], "ks", label="batches")
     for name in sorted({name for r in results for name in r["peers"]}):
         timed = sorted(
             (r["n"], r["peers"][name]["us_per_pair"]) for r in results if name in r["peers"]
         )
-        axes.loglog(*zip(*timed, strict=True), marker=".", linewidth=1, label=name)
+        axes.loglog(*zip(*timed, strict=True), ".", label=name)
     axes.set(xlabel="samples", ylabel="microseconds a pair", title=f"Hoeffding's D, {device}")
     axes.legend(frameon=False)
     figure.savefig(path, dpi=150)
