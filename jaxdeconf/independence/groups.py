@@ -23,11 +23,10 @@ from jaxdeconf.independence.counts import (
     take,
     tiled,
 )
+from jaxdeconf.independence.levels import MOST, size_above
 from jaxdeconf.independence.pairs import arrange, of_each_pair, plan, positions, read, total
 from jaxdeconf.independence.ranks import Ranks
 from jaxdeconf.independence.statistic import Below, Statistic
-
-MOST = 256  # groups, and none: its number is a byte
 
 
 class Groups(NamedTuple):
@@ -43,9 +42,7 @@ def groups_of(ranks: Ranks) -> Groups | None:
     first, last, rank = (np.asarray(v) for v in (ranks.first, ranks.last, ranks.rank))
     starts = (first < last) & (first == np.arange(first.shape[1], dtype=np.int32))
     number = np.cumsum(starts, axis=1, dtype=np.int32) * (first < last)
-    size = 4
-    while size <= number.max():  # few sizes, so that few programs are compiled
-        size *= 4
+    size = size_above(int(number.max()), 4)
     if size > MOST:
         return None
     others = np.zeros((len(first), size), np.int32)
@@ -60,7 +57,7 @@ def from_groups(x: Ranks, y: Groups, statistic: Statistic, platform: str) -> Arr
     """[S, P] float64, as `pairs.from_ranks`, of x without ties and a statistic without weights."""
     (rows, n), (cols, size) = x.rank.shape, y.others.shape
     grid = plan(n, rows * cols, platform)
-    order = arrange(x._replace(first=None, last=None), grid).order
+    order = arrange(x, grid).order
     padding = (0, 0), (0, grid.size - n)
     rest = jnp.arange(grid.size, dtype=jnp.int32)
     first = jnp.where(rest < n, jnp.pad(jnp.asarray(y.first), padding), rest)

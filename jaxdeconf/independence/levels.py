@@ -53,13 +53,17 @@ def levels_of(ranks: Ranks) -> Levels:
     starts = first == np.arange(first.shape[1], dtype=np.int32)
     at_rank = np.cumsum(starts, axis=1, dtype=np.uint8) - np.uint8(1)  # of 256, from 0 to 0 to 255
     level = np.take_along_axis(at_rank, np.asarray(ranks.rank), axis=1)
-    size = 16
-    while size <= at_rank.max():  # few sizes, so that few programs are compiled
-        size *= 4
-    midrank = np.zeros((len(first), size))
+    midrank = np.zeros((len(first), size_above(int(at_rank.max()), 16)))
     row, start = np.nonzero(starts)
     midrank[row, at_rank[row, start]] = (start + last[row, start]) / 2
     return Levels(level, midrank)
+
+
+def size_above(most: int, size: int) -> int:
+    """The least of `size`, 4 `size`, 16 `size`, ... above `most`: few programs are compiled."""
+    while size <= most:
+        size *= 4
+    return size
 
 
 def plan(n: int, pairs: int, size: int) -> Grid:

@@ -28,6 +28,8 @@ from jaxdeconf.independence.ranks import (
 from jaxdeconf.independence.statistic import Statistic
 
 PART = 2**19  # samples, of all pairs, for which a thread is worth its start
+# How a variable is tied: in few levels; in a group larger than `SMALL`; by chance, or not.
+_LEVELS, _GROUPS, _HARDLY = range(3)
 
 
 def all_pairs(x: ArrayLike, y: ArrayLike, statistic: Statistic) -> Array:
@@ -82,10 +84,6 @@ def counted(x: Ranks, y: Ranks, statistic: Statistic) -> Array | np.ndarray:
         count = partial(_counted, ties=(in_x, in_y), statistic=statistic)
         result[np.ix_(rows, cols)] = in_parts(count, chosen(x, rows), chosen(y, cols))
     return result
-
-
-# How a variable is tied: in few levels; in a group larger than `SMALL`; by chance, or not.
-_LEVELS, _GROUPS, _HARDLY = range(3)
 
 
 def _ties(ranks: Ranks) -> np.ndarray:

@@ -178,12 +178,12 @@ def _scaled(x: Ranks, y: Ranks) -> tuple[Array, Array]:
     of_x = _each_column(_column, x)
     flat = of_x.features.reshape(-1, n)
 
-    def against(*of: Array) -> tuple[Array, Array, _Column]:
+    def against(*of: Array) -> tuple[Array, ...]:
         one = _column(*of)
         r = ((flat @ one.features.T / n).reshape(-1, HARMONICS**2) ** 2).sum(axis=1)
-        return r, of_x.rare @ one.rare, one._replace(features=r, rare=one.rare.sum())
+        return r, one.eigenvalues, one.trace, one.rare.sum(), of_x.rare @ one.rare, one.tied
 
-    r, both, of_y = _each_column(against, y)
+    *of_y, events_y, both, tied_y = _each_column(against, y)
 
     def log_p(r: Array, eigenvalues: Array, trace: Array) -> Array:
         weights = (of_x.eigenvalues[:, :, None] * eigenvalues).reshape(len(r), -1)
@@ -191,12 +191,12 @@ def _scaled(x: Ranks, y: Ranks) -> tuple[Array, Array]:
         rest = of_x.trace * trace - weights.sum(axis=1)  # of the small ones: as good as constant
         return jax.vmap(log_survival)((n - 1) * r - rest, weights)
 
-    found = jax.lax.map(lambda of: log_p(*of), (r, of_y.eigenvalues, of_y.trace)).T
-    events_x, events_y = of_x.rare.sum(axis=1)[:, None], of_y.rare
+    found = jax.lax.map(lambda of: log_p(*of), tuple(of_y)).T
+    events_x = of_x.rare.sum(axis=1)[:, None]
     few = (events_x * events_y < FEW * n) & (jnp.maximum(events_x, events_y) <= n / 2)
     exact = _log_coincidences(both.T, events_x, events_y, n)
     found = jnp.where(few, jnp.maximum(found, exact), found)
-    return quantile(found) / (1.2 * (n - 1)), of_x.tied[:, None] | of_y.tied
+    return quantile(found) / (1.2 * (n - 1)), of_x.tied[:, None] | tied_y
 
 
 def _each_column(function: Callable[..., X], ranks: Ranks) -> X:

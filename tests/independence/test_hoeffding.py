@@ -83,9 +83,14 @@ def grouped(rng, n, largest):
     return rng.permutation(np.repeat(np.arange(n), sizes)[:n]).astype(float)
 
 
-@pytest.mark.parametrize("largest", [2, pairs.SMALL, pairs.SMALL + 1])
+@pytest.mark.parametrize(
+    ("largest", "one_by_one"),  # of all; of columns with large groups, and without
+    [(2, [True]), (pairs.SMALL, [False, True]), (pairs.SMALL + 1, [False, False])],
+)
 @pytest.mark.parametrize("n", [40, 300])
-def test_small_groups_of_ties_are_met_one_by_one_and_large_ones_counted(n, largest, monkeypatch):
+def test_small_groups_of_ties_are_met_one_by_one_and_large_ones_counted(
+    n, largest, one_by_one, monkeypatch
+):
     monkeypatch.setattr(levels, "MOST", 0)  # or they would be counted by their levels
     rng = np.random.default_rng(largest)
     x = np.column_stack([grouped(rng, n, largest), rng.normal(size=n)])
@@ -101,6 +106,7 @@ def test_small_groups_of_ties_are_met_one_by_one_and_large_ones_counted(n, large
     np.testing.assert_allclose(jax.jit(hoeffding_d)(x, y), want, atol=1e-7)
     most = max(np.unique(v, return_counts=True)[1].max() for v in (*x.T, *y.T))
     assert all(used) == (most <= pairs.SMALL)
+    assert used == one_by_one
 
 
 @pytest.mark.parametrize(("n", "columns"), [(1000, 5), (2500, 3), (10900, 1)])
