@@ -46,7 +46,7 @@ class Judged(NamedTuple):
     leakage: float
     train_loss: float  # mean since the evaluation before the last
     # Error of telling an action from the one before, on its rollouts over that on the expert's:
-    # below 1 is a copycat (Wen et al. 2020).
+    # meant to be below 1 of a copycat (Wen et al. 2020).
     predictability: float = float("nan")
     # Two of comparisons alone. The mean derivative of the action with respect to the one that the
     # nuisance shows:

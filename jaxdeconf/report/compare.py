@@ -162,9 +162,9 @@ def table(found: Sequence[Standing], config: Config) -> tuple[list[str], list[li
         f"{came.note} Copycat: mean "
         "change of the action over its limit when only the nuisance is redrawn; slope: mean "
         "derivative of the action with respect to the one that the nuisance shows. Predictability: "
-        "error of telling an action from the one before, over the expert's; below 1 is a copycat. "
-        "HSCIC: how much, where the expert drives, the policy's action depends on the expert's one "
-        "before, given the expert's action. "
+        "error of telling an action from the one before, over the expert's; below 1, actions "
+        "follow one another more than the expert's do. HSCIC: how much, where the expert drives, "
+        "the policy's action depends on the expert's one before, given the expert's action. "
         "Labels: the expert's, asked for beside the demonstrations; episodes: driven for it."
     )
     return head, cells, note
@@ -196,7 +196,7 @@ def differences(found: Sequence[Standing]) -> list[str]:
         holds = abs(told.mean) > stdtrit(len(shared) - 1, 0.975) * told.error
         sentences.append(
             f"{one.method} against {plain.method}: {words.spread(told)}, lower on {better} of "
-            f"{len(shared)} seeds; {'it holds' if holds else 'not to be told from none'}."
+            f"{len(shared)} seeds; {'it holds' if holds else 'it may be chance'}."
         )
     return sentences
 
