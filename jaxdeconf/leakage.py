@@ -85,56 +85,48 @@ def regression(
     return lambda test: offset + _kernel((test - mean) @ vectors / scale, features) @ chosen
 
 
-def leaked(train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array) -> Array:
+def leaked(images: Array, signal: Array, key: Array) -> Array:
     """How much of a signal, or of its size, a regression tells from frames it has not seen.
 
     Of its size: by its squared distance from its mean. A mark may show how large a signal is and
     not its sign; then no function of the frame tells the signal, but some tell its square.
 
     Args:
-      train: [n, ...] images, float or uint8.
-      train_signal: [n, A].
-      test: [m, ...] images.
-      test_signal: [m, A].
+      images: [n, ...], float or uint8.
+      signal: [n, A].
       key: starts the search for principal components.
     Returns:
       [] R², at most 1, the mean over A, of the signal or of its square, whichever is told better;
       about 0, or a little below, where nothing leaks.
     Raises:
-      ValueError: if frames and signals differ in number, frames in size, or there are too few.
+      ValueError: if frames and signals differ in number, or there are too few.
     """
-    _check(train, train_signal, test, test_signal, key)
-    mean = train_signal.mean(axis=0)
-    train_both, test_both = (
-        jnp.concatenate([signal, (signal - mean) ** 2], axis=1)
-        for signal in (train_signal, test_signal)
-    )
-    found = _told(train, train_both, test, test_both, key)
+    checks.key("key", key)
+    count = checks.integer("frames in images", len(images), least=4)
+    form = f"[{count}, A], one row a frame"
+    signal = jnp.asarray(checks.array("signal", signal, form, (count, None), finite=True))
+    squared = (signal - signal[: count // 2].mean(axis=0)) ** 2
+    found = explained(images, jnp.concatenate([signal, squared], axis=1), key)
     return found.reshape(2, -1).mean(axis=1).max()
 
 
-def r_squared_each(
-    train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array
-) -> Array:
-    """[A] the share of each signal's variance that is told of the test frames; else as `leaked`."""
-    _check(train, train_signal, test, test_signal, key)
-    return _told(train, train_signal, test, test_signal, key)
+def explained(seen: Array, signal: Array, key: Array) -> Array:
+    """The share of each signal's variance that what is seen explains, in whatever nonlinear way.
 
+    The regression is fitted to the first half and judged on the second: 1 for a signal that is a
+    function of what is seen alone, about 0, or a little below, for one that is independent of it.
 
-def _told(train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array) -> Array:
-    flat = [jnp.asarray(x, jnp.float32).reshape(len(x), -1) for x in (train, test)]
-    components = min(_COMPONENTS, len(train) - 1, flat[0].shape[1])
-    return _shares(flat[0], train_signal, flat[1], test_signal, key, components)
-
-
-def _check(train: Array, train_signal: Array, test: Array, test_signal: Array, key: Array) -> None:
-    checks.key("key", key)
-    shape = jnp.shape(train)[1:]
-    for name, images, signal in (("train", train, train_signal), ("test", test, test_signal)):
-        count = checks.integer(f"frames in {name}", len(images), least=2)
-        checks.array(name, images, f"[n, {str(shape)[1:-1]}]", (None, *shape))
-        form = f"[{count}, A], one row a frame"
-        checks.array(f"{name}_signal", signal, form, (count, None), finite=True)
+    Args:
+      seen: [n, P] columns; or images [n, ...], of which the first principal components are taken.
+      signal: [n, A].
+      key: starts the search for principal components.
+    Returns:
+      [A] R²; 0 for a signal that is constant.
+    """
+    half, flat = len(seen) // 2, jnp.asarray(seen, jnp.float32).reshape(len(seen), -1)
+    columns = flat.shape[1]
+    components = columns if seen.ndim == 2 else min(_COMPONENTS, half - 1, columns)
+    return _shares(flat[:half], signal[:half], flat[half:], signal[half:], key, components)
 
 
 @partial(jax.jit, static_argnames="components")
@@ -146,20 +138,3 @@ def _shares(
     error, variance = ((predicted - test_signal) ** 2).mean(axis=0), test_signal.var(axis=0)
     varies = variance > 0.0
     return jnp.where(varies, 1.0 - error / jnp.where(varies, variance, 1.0), 0.0)
-
-
-def explained(signal: Array, latents: Array, key: Array) -> Array:
-    """The share of each latent's variance that a signal explains, in whatever nonlinear way.
-
-    The regression is fitted to the first half and judged on the second: 1 for a latent that is a
-    function of the signal alone, about 0, or a little below, for one that is independent of it.
-
-    Args:
-      signal: [n, A].
-      latents: [n, O].
-      key: starts the search for principal components.
-    Returns:
-      [O] R².
-    """
-    half, components = len(signal) // 2, signal.shape[1]
-    return _shares(signal[:half], latents[:half], signal[half:], latents[half:], key, components)

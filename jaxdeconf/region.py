@@ -63,13 +63,11 @@ def find_region(encoder: Encoder, mask: Array, images: Array, key: Array) -> Arr
         return jnp.zeros(size, bool)
     mean, _ = disentangle.encode(encoder.network, encoder.variables, images)
     latents = jnp.where(encoder.active, mean, 0.0)
-    half = len(images) // 2
 
     def told(view: View, parameters: Variables) -> float:
         """R² of the masked latents, from what is seen of the frames."""
-        seen, of = see(view, parameters, images), named(key, "region")
-        signal = latents[:, mask]
-        return float(leakage.leaked(seen[:half], signal[:half], seen[half:], signal[half:], of))
+        seen = see(view, parameters, images)
+        return float(leakage.leaked(seen, latents[:, mask], named(key, "region")))
 
     drawn = {"variables": encoder.variables, "keep": encoder.active & ~mask}
     most = told(reconstructed(encoder.network), drawn) + _LEAK

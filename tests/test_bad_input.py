@@ -277,10 +277,9 @@ BAD = [
     ("policy", "function", lambda: evaluate.copycat(SYSTEM, loss, TRAJECTORIES, KEY)),
     ("system", "'cartpole'", lambda: evaluate.copycat("cartpole", POLICY, TRAJECTORIES, KEY)),
     ("key", "int32", lambda: evaluate.copycat(SYSTEM, POLICY, TRAJECTORIES, jnp.int32(3))),
-    ("train_signal", "(6,)", lambda: leaked(train_signal=np.ones(6))),
-    ("test_signal", "nan at [0, 0]", lambda: leaked(test_signal=np.full((6, 1), NAN))),
-    ("test", "shape (6, 32, 64, 3)", lambda: leaked(test=IMAGES[:, :32])),
-    ("frames in train", "1", lambda: leaked(train=IMAGES[:1])),
+    ("signal", "(6,)", lambda: leaked(signal=np.ones(6))),
+    ("signal", "nan at [0, 0]", lambda: leaked(signal=np.full((6, 1), NAN))),
+    ("frames in images", "1", lambda: leaked(images=IMAGES[:1])),
     ("key", "1", lambda: leaked(key=1)),
     # the whole run's config, and what it asks of a system
     ("random_trajectories", "0", lambda: CollectConfig(random_trajectories=0)),
@@ -357,14 +356,7 @@ class Bare:
 
 
 def leaked(**changed):
-    arguments = {
-        "train": IMAGES,
-        "train_signal": np.ones((6, 1)),
-        "test": IMAGES,
-        "test_signal": np.ones((6, 1)),
-        "key": KEY,
-    }
-    return leakage.leaked(**{**arguments, **changed})
+    return leakage.leaked(**{"images": IMAGES, "signal": np.ones((6, 1)), "key": KEY, **changed})
 
 
 @pytest.mark.parametrize(

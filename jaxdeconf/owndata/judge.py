@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxdeconf.demos import Demos
 from jaxdeconf.keys import named
-from jaxdeconf.leakage import explained, leaked, r_squared_each
+from jaxdeconf.leakage import explained, leaked
 from jaxdeconf.learn import disentangle
 from jaxdeconf.learn.disentangle import Encoder
 from jaxdeconf.mask import Mask, MaskConfig, find_mask, potential_causes
@@ -102,7 +102,7 @@ def leakage(seen: Past, written: View, whole: View, key: Array) -> Leakage:
     """What a regression finds of the previous action, before and after."""
 
     def of(images: np.ndarray) -> float:
-        return float(leaked(*_halves(images, seen.actions), named(key, "written")))  # type: ignore
+        return float(leaked(jnp.asarray(images), jnp.asarray(seen.actions), named(key, "written")))
 
     return Leakage(of(seen.images), of(whole(seen.images)), of(written(seen.images)))
 
@@ -112,15 +112,7 @@ def retention(
 ) -> dict[str, list[float]]:
     """{state: R² of it, regressed from first frames [N, Z, Z, 3], before and after}."""
     states, of = np.asarray(demos.initial_states, np.float32), named(key, "retention")
-    both = np.stack([_regressed(images, states, of) for images in (starts, written(starts))])
+    both = np.stack(
+        [explained(jnp.asarray(v), jnp.asarray(states), of) for v in (starts, written(starts))]
+    )
     return dict(zip(demos.state_names, both.T.tolist(), strict=True))
-
-
-def _regressed(images: np.ndarray, signal: np.ndarray, key: Array) -> np.ndarray:
-    """[A] R² of signals [m, A] on the second half of images, regressed on the first."""
-    return np.asarray(r_squared_each(*_halves(images, signal), key))  # type: ignore
-
-
-def _halves(images: np.ndarray, signal: np.ndarray) -> tuple[np.ndarray, ...]:
-    half = len(images) // 2
-    return images[:half], signal[:half], images[half:], signal[half:]

@@ -219,12 +219,12 @@ def _unpredicted(trial: Trial, driven: Trajectories) -> float:
     past, acted = driven.actions[:, :-1], driven.actions[:, 1:]
     half, limits = len(past) // 2, trial.system.limits
     stride = -(-half * past.shape[1] // _JUDGE_FRAMES)
-    (x, y), (test_x, test_y) = (
-        [(v[part] / limits).reshape(-1, len(limits))[::stride] for v in (past, acted)]
-        for part in (slice(half), slice(half, None))
+    seen, told = (
+        (v[: 2 * half] / limits).reshape(2, -1, len(limits))[:, ::stride].reshape(-1, len(limits))
+        for v in (past, acted)
     )
-    share = leakage.r_squared_each(x, y, test_x, test_y, named(trial.key, "predictability"))
-    return float(((1.0 - share) * test_y.var(axis=0)).mean())
+    share = leakage.explained(seen, told, named(trial.key, "predictability"))
+    return float(((1.0 - share) * told[len(told) // 2 :].var(axis=0)).mean())
 
 
 def leaked(trial: Trial, view: View, parameters: Any) -> Array:
@@ -233,14 +233,7 @@ def leaked(trial: Trial, view: View, parameters: Any) -> Array:
     There the signal is independent of everything in the frame but the nuisance: 0 is no leak.
     """
     images, signal = trial.held_out.images[trial.apart], trial.held_out.signals[trial.apart]
-    seen, half = see(view, parameters, images), len(images) // 2
-    return leakage.leaked(
-        seen[:half],
-        signal[:half],
-        seen[half:],
-        signal[half : len(seen)],
-        named(trial.key, "leakage"),
-    )
+    return leakage.leaked(see(view, parameters, images), signal, named(trial.key, "leakage"))
 
 
 def pictures(

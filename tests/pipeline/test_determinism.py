@@ -202,7 +202,7 @@ def one_random_trajectory(key):
 
 def leaked(key):
     signal = np.linspace(-1, 1, 16)[:, None]
-    return leakage.leaked(images(), signal, images(), signal, key)
+    return leakage.leaked(images(), signal, key)
 
 
 @pytest.mark.parametrize(
