@@ -11,8 +11,9 @@ _STYLE = Path(__file__).with_name("page.css")
 
 
 def paragraph(sentences: Iterable[str], kind: str = "") -> str:
-    """Sentences as a paragraph of a CSS class."""
-    return f'<p class="{kind}">{html.escape(" ".join(sentences))}</p>'
+    """Sentences as a paragraph of a CSS class; no line begins with a per cent sign."""
+    text = html.escape(" ".join(sentences)).replace(" %", "&nbsp;%")
+    return f'<p class="{kind}">{text}</p>'
 
 
 def heading(text: str) -> str:

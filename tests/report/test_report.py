@@ -44,7 +44,8 @@ def written(make, pictures, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def text_of(directory: Path) -> str:
     """What a reader sees: the page without pictures and tags."""
     page = (directory / "report.html").read_text(encoding="utf-8")
-    return html.unescape(re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL))
+    text = re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL)
+    return html.unescape(text).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def size_of(file: Path) -> tuple[int, int]:
