@@ -25,11 +25,10 @@ def columns() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("statistic", [hoeffding_d, refined_d])
-@pytest.mark.parametrize("cores", [2, 3])
-def test_in_parts_every_pair_is_what_it_is_as_a_whole(statistic, cores, columns, monkeypatch):
+def test_in_parts_every_pair_is_what_it_is_as_a_whole(statistic, columns, monkeypatch):
     x, y = columns
     whole, turned, single = statistic(x, y), statistic(y, x), statistic(x[:, 0], y[:, 0])
-    monkeypatch.setattr(threads, "cores", lambda: cores)
+    monkeypatch.setattr(threads, "cores", lambda: 3)  # of which the last part overlaps
     monkeypatch.setattr(table, "PART", N)
     monkeypatch.setattr(ranks, "MANY", N)
     monkeypatch.setattr(ranks, "IN_CACHE", 7 * N)
