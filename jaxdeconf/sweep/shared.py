@@ -27,6 +27,7 @@ from jaxdeconf.pipeline.interruption import Interruption
 from jaxdeconf.pipeline.judge import Trial
 from jaxdeconf.pipeline.plain import to_plain
 from jaxdeconf.pipeline.progress import Reporter
+from jaxdeconf.pipeline.results import JudgedExpert
 from jaxdeconf.pipeline.run import collect_for, evidence_for, region_for
 from jaxdeconf.pipeline.stages import Run, finite
 from jaxdeconf.pipeline.store import Nowhere, Store, free
@@ -41,6 +42,7 @@ class Data(NamedTuple):
 
     run: Run  # whose stage they are
     trial: Trial
+    expert: JudgedExpert
 
 
 class Found(NamedTuple):
@@ -108,7 +110,8 @@ def data_of(work: Work, config: Config) -> Data:
         system = fitting(own, work.system)
         run = Run(own, store, work.reporter, work.interruption)
         collected = run.stage("collect", lambda: collect_for(own, system, run.key))
-        work.data[name] = Data(run, judge.trial(system, run.key, collected))
+        trial = judge.trial(system, run.key, collected)
+        work.data[name] = Data(run, trial, judge.judge_expert(system, collected))
     return work.data[name]
 
 
@@ -116,7 +119,7 @@ def train_encoders(work: Work, configs: Sequence[Config]) -> None:
     """Trains, or loads, the β-VAEs of the configs, and judges them."""
     missing: dict[Any, list[tuple[Config, Job]]] = defaultdict(list)
     for config in distinct(configs, encoder_name):
-        run, trial = data_of(work, config)
+        run, trial, _ = data_of(work, config)
         training = _disentangling(trial, config)
         made_from = {"collect": fingerprint(trial.collected)}
         saved = run.store.load(
@@ -161,7 +164,7 @@ def _keep(work: Work, config: Config, job: Job, trained: Trained) -> None:
     if not finite(trained.state):
         work.encoders[encoder_name(config)] = None
         return
-    run, trial = data_of(work, config)
+    run, trial, _ = data_of(work, config)
     state = jax.tree.map(jnp.asarray, trained.state)
     made_from = {"collect": fingerprint(trial.collected)}
     notes = {"seconds": trained.seconds}

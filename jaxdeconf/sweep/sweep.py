@@ -173,7 +173,7 @@ def _needed(
 def _job(work: Work, point: Point, name: str, found: np.ndarray) -> tuple[Name, Job]:
     """What a point's method depends on, and its training."""
     config, method = point.config, METHODS[name]
-    run, trial = data_of(work, config)
+    run, trial, _ = data_of(work, config)
     lengths = np.asarray(trial.collected.expert.valid).sum(axis=1)
 
     def watch(name: str, inner: Training) -> FitState:
@@ -235,7 +235,7 @@ def _row(work: Work, point: Point, found: PointMask | None, policies: dict[str, 
     """A point's line. Numbers that are not finite are said to have diverged."""
     if found is None:
         return Row(point.index, point.values, ["disentangle"])
-    encoder, trial = work.encoders[encoder_name(point.config)], data_of(work, point.config).trial
+    encoder = work.encoders[encoder_name(point.config)]
     assert encoder is not None  # it has a mask
     precision, recall = judge.precision_recall(found.mask, encoder.encoder, encoder.share)
     return Row(
@@ -249,5 +249,5 @@ def _row(work: Work, point: Point, found: PointMask | None, policies: dict[str, 
         nuisance_share=encoder.share,
         precision=precision,
         recall=recall,
-        expert=judge.judge_expert(trial.system, trial.collected),
+        expert=data_of(work, point.config).expert,
     )
