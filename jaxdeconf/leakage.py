@@ -102,6 +102,7 @@ def leaked(images: Array, signal: Array, key: Array) -> Array:
       ValueError: if frames and signals differ in number, or there are too few.
     """
     checks.key("key", key)
+    images = checks.plain("images", images)  # lists too; no masked values
     count = checks.integer("frames in images", len(images), least=4)
     form = f"[{count}, A], one row a frame"
     signal = jnp.asarray(checks.array("signal", signal, form, (count, None), finite=True))
